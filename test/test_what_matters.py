@@ -596,7 +596,7 @@ def test_records_weigh_as_long_as_they_move():
                                           input_hold='zoh'))
     whole = samples_of(records, [[None]] * 3)
     weights = [float(np.sum(np.abs(_input_spectra(
-        replace(whole, records=whole.records[k:k + 1]), np.zeros(1)).lines) ** 2))
+        replace(whole, records=whole.records[k:k + 1]), np.zeros(1))[1]) ** 2))
         for k in range(3)]
     assert weights[1] == pytest.approx(2.0 * weights[0], rel=0.2)
     assert weights[2] == pytest.approx(weights[0], rel=0.3)
@@ -611,6 +611,6 @@ def test_inputs_move_together_for_as_long_as_they_do():
         u[:, 1] = u[:, 0] if same else u[:, 1]
         records.append(Record.from_arrays(t + 100.0 * k, u, t + 100.0 * k, np.sin(t),
                                           input_hold='zoh'))
-    own = _uncorrelated(_input_spectra(samples_of(records, [[None]] * 2), np.zeros(2)).sent)
+    own = _uncorrelated(_input_spectra(samples_of(records, [[None]] * 2), np.zeros(2))[2])
     # Of u1 - u2 60 / 66, the best by time, is left 0.17 of the power; by samples 0.75 would be.
     np.testing.assert_allclose(own, 0.17, rtol=0.2)

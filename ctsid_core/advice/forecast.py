@@ -139,8 +139,8 @@ def _power(record: Record, j: int, edges: Sequence[float]) -> list[float]:
                                        strict=True) if last > j)
     count = max(int(record.duration / cell(signal.time)), 2) if len(signal.time) > 1 else 2
     t = record.start + record.duration * np.arange(count) / count
-    values = np.hstack([input_polynomials((s,), (0.0,) * s.width, t)[0] for s in record.inputs])
-    u = values[:, j] - values[:, j].mean()
+    u = input_polynomials(record.inputs, (0.0,) * record.nu, t)[0][:, j]
+    u = u - u.mean()
     power = np.abs(np.fft.rfft(u)) ** 2
     power[1:(count + 1) // 2] *= 2.0
     below = np.cumsum(power / count ** 2)

@@ -25,7 +25,7 @@ from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.bases.quadrature import coefficients
+from ctsid_core.bases.quadrature import coefficients, free_motion
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal, channel_slices
@@ -65,11 +65,9 @@ class HermiteLines:
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
-        # <h_n, 1>: odd ones vanish, c_(n+2) = c_n ratio
-        nc = len(self.V)
-        c, n = np.zeros((1, nc)), np.arange(2, nc, 2)
-        c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
-            np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
+        # <h_n, 1>: odd ones vanish
+        c = np.zeros((1, len(self.V)))
+        c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * free_motion(c.size)[1][0::2]
         return np.asarray(c @ self.V)
 
 

@@ -81,7 +81,7 @@ def _known(signal: Signal, start: float, end: float, delay: float) -> tuple[Arra
 
 def integrate(g: Array, c0: Array) -> Array:
     """Return coefficients of f (m, nc) from g = <h_n, df/dx> (m, nc) and c0 = <h_0, f> (m,)."""
-    step, free = _free_motion(g.shape[1])
+    step, free = free_motion(g.shape[1])
     c = np.empty_like(g)
     c[:, 0] = c0
     np.multiply(step, g[:, :-1], out=c[:, 1:])
@@ -93,7 +93,7 @@ def integrate(g: Array, c0: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _free_motion(nc: int) -> tuple[Array, Array]:
+def free_motion(nc: int) -> tuple[Array, Array]:
     """Return sqrt(2 / n) for n >= 1, and what c_n is where g vanishes, from c_0 = c_1 = 1."""
     n = np.arange(nc, dtype=float)
     free = np.ones(nc)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -213,20 +212,6 @@ class _Acting:
             left -= sine
 
 
-class _Spectra(NamedTuple):
-    """
-    The strongest lines of the differenced inputs, every octave alike, and what was sent.
-
-    Of all records: at uniform instants, centred, for inputs that move together are not told apart
-    by their dead times.
-    """
-
-    omega: Array            # (M,), ascending
-    lines: ComplexArray     # (nu, M)
-    sent: Array             # (nu, N)
-    acting: tuple[_Acting, ...]     # of each record
-
-
 def _half_rates(signal: Signal) -> list[float]:
     """
     Return half the rate of each channel [rad/s]: beyond it are the edges of its hold.
@@ -242,12 +227,19 @@ def _half_rates(signal: Signal) -> list[float]:
     return found
 
 
-def _input_spectra(samples: Samples, delay: Array) -> _Spectra:
-    """Return the spectra of the inputs as they act, later by their dead times, in all records."""
+def _input_spectra(samples: Samples, delay: Array
+                   ) -> tuple[Array, ComplexArray, Array, list[_Acting]]:
+    """
+    Return the strongest lines of the differenced inputs, every octave alike, and what was sent.
+
+    As they act, of all records: frequencies (M,), ascending, lines (nu, M); sent (nu, N), at
+    uniform instants, centred, for inputs that move together are not told apart by their dead
+    times; and the differences of each record.
+    """
     found = [_of_record(r, delay) for r in samples.records if r.end > r.start]
     omega, lines, sent = (np.concatenate([one[k] for one in found], axis=-1) for k in range(3))
     order = np.argsort(omega, kind='stable')
-    return _Spectra(omega[order], lines[:, order], sent, tuple(one[3] for one in found))
+    return omega[order], lines[:, order], sent, [one[3] for one in found]
 
 
 def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray, Array, _Acting]:

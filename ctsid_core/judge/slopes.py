@@ -95,10 +95,9 @@ def slopes_of(samples: Samples, own: Own) -> Slopes:
     rows, error, places = jacobian(samples, fit, free)
     shares = [(s.times - start) / (end - start) for r in samples.records
               for start, end in [r.span] for s in r.streams for _ in range(s.y.shape[1])]
-    number = np.arange(rows.shape[1]) - places.poles
+    states, delays = (places.are(which, samples.ny, len(samples.records), free.trim)
+                      for which in ('xt', 'd'))
     return Slopes(
-        fit, rows, error, places.of_states(samples.ny, len(samples.records), free.trim),
-        np.concatenate(shares),
-        (number >= 0) & (number < places.delays),
+        fit, rows, error, states, np.concatenate(shares), delays,
         np.repeat(np.arange(len(samples.records)), samples.counts.sum(axis=1).astype(int)),
         np.array([len(times) for times in shares]), samples)

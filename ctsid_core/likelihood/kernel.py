@@ -28,7 +28,7 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.linear.types import Array, ComplexArray
 
 if TYPE_CHECKING:
-    from ctsid_core.model.modal import Drive
+    from ctsid_core.likelihood.samples import RecordSamples
 
 VARIABLE = 'CTSID_KERNEL'
 _NOTHING = ctypes.c_char * 0
@@ -147,18 +147,10 @@ def _at(array: NDArray[Any]) -> int:
     return ctypes.addressof(_NOTHING.from_buffer(array))
 
 
-class Timed(NamedTuple):
-    """The samples of one record: its start, its inputs, and stamps, values and first channels."""
-
-    start: float
-    drives: Sequence[Drive]
-    streams: Sequence[tuple[Array, Array, int]]
-
-
 class Kernel:
     """The kernel with the samples of records; made by `kernel_of`."""
 
-    def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
+    def __init__(self, library: CDLL, records: Sequence[RecordSamples], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
         self._kept: list[object] = []
         self._shapes: dict[tuple[Shape, bool], int] = {}
@@ -172,9 +164,9 @@ class Kernel:
                 between, rates = d.paces
                 drives.append(_Drive(*map(self._keep, (d.stamps, d.pieces, between, rates)),
                                      len(d.stamps), d.width, len(d.pieces) - 1))
-            for times, y, channel in record.streams:
-                streams.append(_Stream(self._keep(times), self._keep(y), len(times), channel,
-                                       y.shape[1], r))
+            for s in record.streams:
+                streams.append(_Stream(self._keep(s.times), self._keep(s.y), len(s.times),
+                                       s.channels.start, s.y.shape[1], r))
         tables = ((_Record * len(rows))(*rows), (_Drive * len(drives))(*drives),
                   (_Stream * len(streams))(*streams))
         self._samples = _Samples(*(ctypes.addressof(t) for t in tables), len(rows), len(streams),
@@ -227,9 +219,8 @@ class Kernel:
         """Return derivatives by so many numbers, and errors; arguments: see kernel.c."""
         height = int(layout.rows @ self._channels)
         found = np.zeros((count + 1, height))
-        self._derive(self._library.ctsid_jacobian, layout, trim, values,
-                     _packed(model, power, dp.ravel().view(float), late.astype(float)),
-                     len(dp), len(late), height, _at(found))
+        self._derive(self._library.ctsid_jacobian, layout, trim, values, model, power, dp, late,
+                     height, _at(found))
         return found[:-1].T, found[-1]
 
     def slopes(self, layout: Layout, trim: bool, values: Array, model: ModalModel, power: Array,
@@ -237,17 +228,19 @@ class Kernel:
                count: int) -> tuple[Array, Array, Array, float]:
         """Return curvature, gradient and squares of so many numbers that move; see kernel.c."""
         found = np.zeros(count * count + 2 * count + 1)
-        self._derive(self._library.ctsid_slopes, layout, trim, values,
-                     _packed(model, power, dp.ravel().view(float), late.astype(float)),
-                     len(dp), len(late), _at(found))
+        self._derive(self._library.ctsid_slopes, layout, trim, values, model, power, dp, late,
+                     _at(found))
         curvature, of_each = found[:count * count].reshape(count, count), found[-2 * count - 1:]
         return curvature, of_each[:count], of_each[count:-1], float(of_each[-1])
 
     def _derive(self, function: Callable[..., int], layout: Layout, trim: bool, values: Array,
-                numbers: Array, *more: int) -> None:
+                model: ModalModel, power: Array, dp: ComplexArray, late: NDArray[np.intp],
+                *more: int) -> None:
         place = _at(values)
+        numbers = _packed(model, power, dp.ravel().view(float), late.astype(float))
         self._done(function(self._place, self._shape(layout, trim), layout.place, place,
-                            place + values.itemsize * layout.size, _at(numbers), *more))
+                            place + values.itemsize * layout.size, _at(numbers), len(dp),
+                            len(late), *more))
 
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""
@@ -275,7 +268,7 @@ def _packed(model: ModalModel, power: Array, *more: Array) -> Array:
                            power.ravel(), *more))
 
 
-def kernel_of(records: Sequence[Timed], nu: int, ny: int) -> Kernel | None:
+def kernel_of(records: Sequence[RecordSamples], nu: int, ny: int) -> Kernel | None:
     """Return the kernel with the samples of records of nu inputs and ny outputs; None: NumPy."""
     library = _library()
     if library is None or any(len(d.pieces) > _HIGHEST for r in records for d in r.drives):

@@ -17,7 +17,6 @@ Denmark (damping).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -234,17 +233,12 @@ def _eliminated(samples: Samples, fit: Fit, free: Free, around: PoleSteps,
 
 
 def _coordinates(samples: Samples, model: ModalModel, free: Free,
-                 around: PoleSteps) -> tuple[ComplexArray, NDArray[np.intp], Places]:
+                 around: PoleSteps | None) -> tuple[ComplexArray, NDArray[np.intp], Places]:
     """Return derivatives of modes by coordinates, inputs of free dead times, and places."""
-    dp, late = around.derivatives(), np.flatnonzero(free.delays)
-    return dp, late, _places(samples, model, free, len(dp), len(late))
-
-
-def _places(samples: Samples, model: ModalModel, free: Free, poles: int, delays: int) -> Places:
-    """Return how many numbers are free, with so many of poles and dead times."""
-    nu, n = samples.nu, model.n
-    return Places(poles, delays, n * nu, n,
-                  n + nu * free.feedthrough + len(samples.records) * free.trim)
+    dp = np.zeros((0, len(model.poles)), complex) if around is None else around.derivatives()
+    late, nu, n = np.flatnonzero(free.delays)[:None if around else 0], samples.nu, model.n
+    return dp, late, Places(len(dp), len(late), n * nu, n,
+                            n + nu * free.feedthrough + len(samples.records) * free.trim)
 
 
 def _held(model: ModalModel, free: Free, gradient: Array, places: Places,
@@ -308,30 +302,12 @@ class Places:
         """Return how many move together: of several outputs b and initial states, too."""
         return self.poles + self.delays + (self.b + records * self.x0 if ny > 1 else 0)
 
-    def of_states(self, ny: int, records: int, trim: bool) -> Mask:
-        """Return which columns are of initial states and trims."""
-        found, own = self._apart(ny, records)
-        found[self.poles + self.delays + self.b:len(found) - own.size] = True
-        if trim:
-            own[:, -records:] = True
-        return found
-
-    def of_c(self, ny: int, records: int) -> Mask:
-        """Return which columns are of c."""
-        found, own = self._apart(ny, records)
-        own[:, :self.x0] = True
-        return found
-
-    def of_outputs(self, ny: int, records: int) -> Mask:
-        """Return which columns are of single outputs."""
-        found, own = self._apart(ny, records)
-        own[:] = True
-        return found
-
-    def _apart(self, ny: int, records: int) -> tuple[Mask, Mask]:
-        """Return a mask of no column, and its part of single outputs, (ny, own)."""
-        found = np.zeros(self.count(ny, records), dtype=bool)
-        return found, found[len(found) - ny * self.own:].reshape(ny, self.own)
+    def are(self, which: str, ny: int, records: int, trim: bool) -> Mask:
+        """Return which columns are of poles p, dead times d, b, states x, c, D or trims t."""
+        trims = records * trim
+        own = 'c' * self.x0 + 'D' * (self.own - self.x0 - trims) + 't' * trims
+        kinds = 'p' * self.poles + 'd' * self.delays + 'b' * self.b + 'x' * (records * self.x0)
+        return np.isin(list(kinds + ny * own), list(which))
 
 
 def _driving(model: ModalModel, record: int) -> ComplexArray:
@@ -346,7 +322,7 @@ def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
     return found.reshape(len(found), int(np.prod(found.shape[1:])))
 
 
-def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:
+def complex_of(rows: Array, poles: ComplexArray) -> ComplexArray:
     """Return complex coefficients of modes from real ones, all real parts before imaginary."""
     m = len(poles)
     found = rows[:m].astype(complex)
@@ -374,12 +350,8 @@ def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = 
     fit = _with_slopes(samples, fit, free) if moving else fit
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
-    if moving:
-        dp, late, places = _coordinates(samples, model, free,
-                                        around or steps_around(samples, model))
-    else:
-        dp, late = np.zeros((0, len(poles)), dtype=complex), np.zeros(0, dtype=np.intp)
-        places = _places(samples, model, free, 0, 0)
+    dp, late, places = _coordinates(
+        samples, model, free, (around or steps_around(samples, model)) if moving else None)
     if moves is None and samples.kernel is not None:
         return *samples.kernel.jacobian(
             fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late,
@@ -443,8 +415,8 @@ def _with_linear(model: ModalModel, step: Array, places: Places, free: Free) -> 
     b, x0 = step[at - places.b:at].reshape(n, model.b.shape[1]), step[at:end].reshape(records, n)
     own = step[end:].reshape(len(model.c), places.own)
     return ModalModel(
-        p, model.b + _complex(b, p), model.c + _complex(own[:, :n].T, p).T,
-        model.x0 + _complex(x0.T, p).T,
+        p, model.b + complex_of(b, p), model.c + complex_of(own[:, :n].T, p).T,
+        model.x0 + complex_of(x0.T, p).T,
         model.D + own[:, n:direct].reshape(model.D.shape) if free.feedthrough else model.D,
         model.y0 + own[:, direct:].T if free.trim else model.y0, model.delay)
 
@@ -489,15 +461,16 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: Columns,
         found = least_norm(design.T, np.vstack([t.y for t in streams]).T, _RANK)
         for i, theta in zip(streams[0].channels, found, strict=True):
             b, x0 = np.split(theta[:n * (nu + records)], (n * nu,))
-            residues[:, i] = _complex(b.reshape(n, nu), poles)
-            starts[:, :, i] = _complex(x0.reshape(records, n).T, poles).T
+            residues[:, i] = complex_of(b.reshape(n, nu), poles)
+            starts[:, :, i] = complex_of(x0.reshape(records, n).T, poles).T
     return residues, starts
 
 
-def _solve(samples: Samples, fit: Fit, free: Free, wanted: Callable[[Places], Mask]) -> ModalModel:
-    """Return the model with some of what is linear at its best, the rest held."""
+def _solve(samples: Samples, fit: Fit, free: Free, which: str) -> ModalModel:
+    """Return the model with some of what is linear (`Places.are`) at its best, the rest held."""
     rows, error, places = jacobian(samples, fit, free, moving=False)
-    step, own = np.zeros(rows.shape[1]), wanted(places)
+    step = np.zeros(rows.shape[1])
+    own = places.are(which, samples.ny, len(samples.records), free.trim)
     step[own] = least_norm(rows[:, own].T, error[np.newaxis], _RANK)[0]
     return _with_linear(fit.model, step, places, free)
 
@@ -509,13 +482,10 @@ def _solved(samples: Samples, model: ModalModel, columns: Columns, free: Free,
         model, power = samples.kernel.solve(columns.layout, free.trim, columns.values, model,
                                             power)
         return Fit(model, columns, power, _cost(samples, power))
-    ny, records = power.shape[::-1]
     for _ in range(2):                  # the noise of outputs and records is known after one
-        if ny > 1:
-            model = _solve(samples, Fit(model, columns, power, np.inf), free,
-                           lambda places: places.of_outputs(ny, records))
-        model = _solve(samples, Fit(model, columns, power, np.inf), free,
-                       lambda places: ~places.of_c(ny, records))
+        if samples.ny > 1:
+            model = _solve(samples, Fit(model, columns, power, np.inf), free, 'cDt')
+        model = _solve(samples, Fit(model, columns, power, np.inf), free, 'bxDt')
         old, power = power, _powers(samples, model, columns)
         if power.size == 1 or np.all(np.abs(np.log(power / old)) < 0.1):
             break
@@ -575,12 +545,10 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     """
     columns = columns or columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
                                     slopes=False)
-    records, ny = len(samples.records), samples.ny
-    power = np.ones((records, ny))
-    model = replace(model, x0=np.zeros((records, len(model.poles)), dtype=complex),
+    power = np.ones((len(samples.records), samples.ny))
+    model = replace(model, x0=np.zeros((len(power), len(model.poles)), dtype=complex),
                     y0=np.zeros_like(power))
     for _ in range(2):
-        model = _solve(samples, Fit(model, columns, power, np.inf), free,
-                       lambda places: places.of_states(ny, records, free.trim))
+        model = _solve(samples, Fit(model, columns, power, np.inf), free, 'xt')
         power = _powers(samples, model, columns)
     return Fit(model, columns, power, _cost(samples, power))

@@ -15,6 +15,7 @@ from ctsid_core.likelihood.output_error import (
     Fit,
     Free,
     climb_roughly,
+    complex_of,
     fit_at,
     jacobian,
     steps_around,
@@ -119,12 +120,10 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
     rows, _, places = jacobian(samples, fit, free)
     width = rows.shape[1]
     samples.effort.spend(covariance_work(samples, model.n))
-    nuisance = places.of_states(samples.ny, len(samples.records), free.trim)
-    wanted = ~nuisance
-    if samples.ny == 1:                             # c is 1 then
-        wanted[width - places.own:width - places.own + model.n] = False
-    elif samples.nu == 1:
-        wanted[places.poles + places.delays:places.poles + places.delays + places.b] = False
+    one = 'c' if samples.ny == 1 else 'b' if samples.nu == 1 else ''      # it is 1 then
+    nuisance, still = (places.are(which, samples.ny, len(samples.records), free.trim)
+                       for which in ('xt', 'xt' + one))
+    wanted = ~still
     apart = orthonormal(rows[:, nuisance], _SAME)
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
@@ -153,17 +152,18 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
             _read_alike(samples, fit)[list(free.delays)] / np.sqrt(6.0))    # anywhere in both
         root = np.vstack((root, alike))
     steps = steps_around(samples, model).derivatives()
-    m, nu, ny, pairs = *model.b.shape, samples.ny, np.flatnonzero(model.poles.imag > 0.0)
+    nu, ny, pairs = samples.nu, samples.ny, np.flatnonzero(model.poles.imag > 0.0)
     n, r = model.n, len(root)
     dp = root[:, :places.poles] @ steps
     at = places.poles
     delay = np.zeros((r, nu))
     delay[:, np.flatnonzero(free.delays)] = root[:, at:at + places.delays]
     at += places.delays
-    db = _complex(root[:, at:at + places.b].reshape(r, -1, nu), m, pairs)
+    db = complex_of(root[:, at:at + places.b].reshape(r, -1, nu).swapaxes(0, 1),
+                    model.poles).swapaxes(0, 1)
     at += places.b + len(samples.records) * places.x0
     own = root[:, at:at + ny * places.own].reshape(r, ny, places.own)
-    dc = _complex(own[:, :, :n].swapaxes(1, 2), m, pairs).swapaxes(1, 2)
+    dc = complex_of(own[:, :, :n].transpose(2, 0, 1), model.poles).transpose(1, 2, 0)
     dD = own[:, :, n:n + nu] if free.feedthrough else np.zeros((r, ny, nu))
     T = _mended(like or model)
     inverse = np.linalg.inv(T)
@@ -336,10 +336,3 @@ def _jumps(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
                   if place < own.stop)
     return (s.time[1:], np.diff(s.values[:, place - own.start])) if s.hold == 'zoh' else \
         (np.empty(0), np.empty(0))
-
-
-def _complex(rows: Array, m: int, pairs: NDArray[np.intp]) -> ComplexArray:
-    """Return complex changes of modes from real parts of all, then imaginary parts of pairs."""
-    found = rows[:, :m].astype(complex)
-    found[:, pairs] += 1j * rows[:, m:]
-    return found

@@ -61,22 +61,17 @@ class Discrete:
         first = n + np.concatenate([[0], np.cumsum(self.memory)]).astype(int)
         A = np.zeros((first[-1], first[-1]))
         B, C = np.zeros((first[-1], nu)), np.zeros((len(self.C), first[-1]))
-        A[:n, :n], C[:, :n], D = self.A, self.C, np.zeros_like(self.D)
+        A[:n, :n], C[:, :n] = self.A, self.C
         for i in range(nu):
-            past = range(first[i], first[i + 1])  # the input one, two, ... ticks ago
+            past = np.arange(first[i], first[i + 1])  # the input one, two, ... ticks ago
             for gain, ago in ((self.now, self.lag[i]), (self.before, self.lag[i] + 1)):
                 if ago == 0:
                     B[:n, i] = gain[:, i]
                 elif ago <= len(past):
                     A[:n, past[ago - 1]] = gain[:, i]
-            if past:
-                B[past[0], i] = 1.0
-                C[:, past[-1]] = self.D[:, i]
-            else:
-                D[:, i] = self.D[:, i]
-            for one, other in zip(past, past[1:], strict=False):
-                A[other, one] = 1.0
-        return A, B, C, D
+            B[past[:1], i] = A[past[1:], past[:-1]] = 1.0
+            C[:, past[-1:]] = self.D[:, [i]]
+        return A, B, C, np.where(self.memory, 0.0, self.D)
 
 
 def discretise(model: StateSpace, rate: float) -> Discrete:

@@ -60,7 +60,6 @@ class PoleGrid:
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
-        self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
         self._beside: dict[tuple[bytes, bytes], list[list[tuple[Array, Array]]]] = {}
         cells = _cells_of(samples, longest, finest, _CELLS)
         self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
@@ -74,12 +73,9 @@ class PoleGrid:
         dead times (nu,) [s]. Before it -2 log likelihood of what it would leave, everything
         linear at its best.
         """
-        key = (poles.tobytes(), delay.tobytes(), real)
-        if key not in self._best:
-            score = self._scores(poles, delay, real)
-            place = int(np.argmin(score))
-            self._best[key] = float(score[place]), complex(self._shapes[real][0].poles[place])
-        return self._best[key]
+        score = self._scores(poles, delay, real)
+        place = int(np.argmin(score))
+        return float(score[place]), complex(self._shapes[real][0].poles[place])
 
     @cached_property
     def dead_times(self) -> dict[bool, Array]:
