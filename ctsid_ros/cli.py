@@ -78,6 +78,9 @@ def _run(argv: Sequence[str]) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
         sys.stdout.reconfigure(errors='replace')
     try:
+        if not argv:
+            _parser(argv).print_help(sys.stderr)
+            return 2
         args = _parser(argv).parse_args(argv)
         args.command_line = shlex.join(('ctsid', *argv))
         code: int = args.command(args)

@@ -44,7 +44,7 @@ from ctsid_core.model.storage import (
     save_model,
 )
 from ctsid_core.settings import METHODS
-from ctsid_ros.cli import main
+from ctsid_ros.cli import VERBS, main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
 from ctsid_ros.report.tables import number, percent
@@ -702,6 +702,13 @@ def test_an_unknown_verb_gets_the_nearest(ctsid, word, hint):
     code, out, err = ctsid(word, 'bag')
     assert (code, out) == (2, '')
     assert f"'{word}' is no verb; {hint}" in err
+
+
+def test_without_a_verb_all_verbs_are_told(capsys):
+    assert main([]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert all(f'    {verb} ' in err for verb in VERBS)
 
 
 def test_a_start_behind_the_end_is_said_without_infinity(refusal, shared):
