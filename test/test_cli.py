@@ -270,14 +270,19 @@ def test_the_recording_that_a_model_is_of_is_no_test(ctsid, shared, identified):
         json.loads(out)['notes'])
 
 
-def test_of_a_clock_that_begins_with_0_the_file_tells_what_a_model_is_of(ctsid, tmp_path):
+@pytest.mark.parametrize('of', ['a', 'ab'])
+def test_of_a_clock_that_begins_with_0_the_file_tells_what_a_model_is_of(ctsid, tmp_path, of):
     rng = np.random.default_rng(0)
-    for name in 'ab':
+    for name in 'abc':
         columns = dict(zip('tuy', held_lag(rng, 0.02, 600), strict=True))
         write_csv(tmp_path / f'{name}.csv', columns)
-    ctsid('try', tmp_path / 'a.csv', '--out', tmp_path / 'res')
+    code, _, err = ctsid('identify', *(tmp_path / f'{name}.csv' for name in of),
+                         '--out', tmp_path / 'res')
+    assert code == 0, err
     model = next((tmp_path / 'res').rglob('model.json'))
-    for name, own in (('a', True), ('b', False)):
+    assert len(load_estimate(model).records) == (len(of) if len(of) > 1 else 0)
+    for name in 'abc':
+        own = name in of
         _, out, _ = ctsid('simulate', model, tmp_path / f'{name}.csv', '--json')
         assert ('its fit there is no test' in ' '.join(json.loads(out)['notes'])) is own
 

@@ -488,7 +488,10 @@ def _fit_on(estimate: Estimate, number: int) -> Array:
 
 
 def _origin(outcome: Outcome, args: argparse.Namespace) -> dict[str, object]:
-    records = [{'bag': [Path(b).name for b in s.bags], 'start': s.span[0], 'end': s.span[1]}
+    from ctsid_ros.replay.results import bag_hash
+
+    records = [{'bag': [Path(b).name for b in s.bags], 'sha256': bag_hash(s.bags),
+                'start': s.span[0], 'end': s.span[1]}
                for s in outcome.sources] if len(outcome.sources) > 1 else []
     return origin(outcome.config, args.bag, _interval(args), records)
 
