@@ -35,6 +35,7 @@ class Effort:
     def __init__(self, budget: float = 0.0, cancelled: Callable[[], bool] | None = None) -> None:
         self.budget, self._cancelled = budget, cancelled
         self._work, self._kept, self._rate = 0.0, 0.0, work_rate()
+        self.left_out: list[str] = []       # tests that the budget did not last for, in words
 
     def check(self) -> None:
         """Go on, if it is still wanted; else raise `Cancelled`."""
@@ -68,6 +69,13 @@ class Effort:
         """Return whether more than a share of the budget, less what is kept, is spent."""
         free = max(self.budget - self._kept / self._rate, 0.0)
         return self.budget > 0.0 and share * free <= self.seconds
+
+    def leaves_out(self, what: str, share: float = 1.0) -> bool:
+        """Return whether more than a share is spent, and keep in mind what is not asked then."""
+        spent = self.beyond(share)
+        if spent and what not in self.left_out:
+            self.left_out.append(what)
+        return spent
 
 
 def work_rate() -> float:

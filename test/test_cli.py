@@ -47,6 +47,7 @@ from ctsid_core.settings import METHODS
 from ctsid_ros.cli import VERBS, main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
+from ctsid_ros.replay import results
 from ctsid_ros.report.tables import number, percent
 from ctsid_ros.studies import hd_vs_ct
 from ctsid_ros.verbs.arguments import run_of
@@ -284,7 +285,22 @@ def test_of_a_clock_that_begins_with_0_the_file_tells_what_a_model_is_of(ctsid, 
     for name in 'abc':
         own = name in of
         _, out, _ = ctsid('simulate', model, tmp_path / f'{name}.csv', '--json')
-        assert ('its fit there is no test' in ' '.join(json.loads(out)['notes'])) is own
+        notes = ' '.join(json.loads(out)['notes'])
+        assert ('its fit there is no test' in notes) is own
+        assert '24.0 s of' not in notes         # not counted once for each record
+
+
+def test_of_large_files_without_dates_nothing_is_said(ctsid, tmp_path, monkeypatch):
+    monkeypatch.setattr(results, '_HASHED', 0)
+    rng = np.random.default_rng(0)
+    for name in 'ab':
+        columns = dict(zip('tuy', held_lag(rng, 0.02, 600), strict=True))
+        write_csv(tmp_path / f'{name}.csv', columns)
+    code, _, err = ctsid('identify', tmp_path / 'a.csv', tmp_path / 'b.csv', '--out',
+                         tmp_path / 'res')
+    assert code == 0, err
+    _, out, _ = ctsid('simulate', tmp_path / 'res' / 'model.json', tmp_path / 'a.csv', '--json')
+    assert 'its fit there is no test' not in ' '.join(json.loads(out)['notes'])
 
 
 @pytest.mark.parametrize('gain', [1.0, 0.7])

@@ -354,6 +354,13 @@ def test_95_percent_regions_hold_93_to_97_percent(name, order):
         assert binom.ppf(1e-3, count, 0.93) <= hits <= binom.ppf(1 - 1e-3, count, 0.97), what
 
 
+def test_of_models_without_states_rivals_vary_the_gain():
+    m = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[2.0]])
+    known = Covariance(np.zeros((0, Covariance.entry_count(0, 1, 1))), 0, 1, 1, (Rival(
+        0.25, StateSpace([[-2.0]], [[2.0]], [[3.0]])),))
+    assert gain_deviation(known, m)[0, 0] == pytest.approx(0.5)
+
+
 def test_a_rival_that_outlasts_all_records_leaves_the_dc_gain_known():
     """Its own gain nobody knows, but it moves next to nothing where the model has settled."""
     m = StateSpace([[-2.0]], [[1.0]], [[4.0]])

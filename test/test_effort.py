@@ -15,7 +15,6 @@ from ctsid_core.effort import RATE, VARIABLE, Effort, work_rate
 from ctsid_core.errors import Cancelled, SettingsError
 from ctsid_core.identify import identify
 from ctsid_core.judge import curve, slopes
-from ctsid_core.judge.rules import in_sequence
 from ctsid_core.likelihood import noise_gain, output_error, state_space
 from ctsid_core.model.model_json import to_json
 from ctsid_core.model.verdict import Grade
@@ -190,31 +189,51 @@ def test_a_budget_holds_for_every_stage(budget, order):
     assert any('budget' in note for note in (*short.notes, short.verdict.reason))
 
 
+def slowed(length, at):
+    """Return a record of a lag that becomes half as fast."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, length, 0.01)
+    u, x = np.repeat(np.sign(rng.standard_normal(len(t) // 10)), 10), np.zeros(len(t))
+    for k, now in enumerate(t[:-1]):
+        keep = np.exp(-0.01 * (3.0 if now < at else 1.5))
+        x[k + 1] = keep * x[k] + (1.0 - keep) * u[k]
+    return Record.from_arrays(t, u, t, x + 0.02 * rng.standard_normal(len(t)), input_hold='zoh')
+
+
 @pytest.mark.parametrize('budget', [0.02, 0.03, 0.05, 0.0])
 def test_what_the_budget_left_untested_is_not_good(budget):
     """A lag that becomes half as fast; what is not looked at cannot be found."""
-    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
-    u, x = np.repeat(np.sign(rng.standard_normal(200)), 10), np.zeros(2000)
-    for k, now in enumerate(t[:-1]):
-        keep = np.exp(-0.01 * (3.0 if now < 10.0 else 1.5))
-        x[k + 1] = keep * x[k] + (1.0 - keep) * u[k]
-    y = x + 0.02 * rng.standard_normal(2000)
-    verdict = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
-                       Settings(budget=budget)).verdict
+    verdict = identify(slowed(20.0, 10.0), Settings(budget=budget)).verdict
     print(verdict.reason)
     assert verdict.grade is not Grade.GOOD
     assert 'raise `budget`' in verdict.reason or 'plant changed' in verdict.reason
     assert budget or 'plant changed' in verdict.reason
 
 
-def test_the_previous_model_may_test_what_the_budget_did_not():
-    record = running(np.random.default_rng(0), PLANTS['hd51'], 60, rate=200.0)
-    found = identify(record, Settings(budget=0.03))
-    assert 'budget' in found.verdict.reason
-    assert found.verdict.grade is Grade.WEAK
-    for fit, grade in ((95.0, Grade.GOOD), (-50.0, Grade.WEAK)):
-        fresh = in_sequence(found, np.full(2, fit), np.full(2, np.nan), 0.1)
-        assert fresh.verdict.grade is grade
+@pytest.mark.parametrize('budget', [0.03, 0.0])
+def test_new_data_do_not_test_what_the_budget_left_untested(budget):
+    """The previous model may be the mean of two plants, too, and foretell as well as before."""
+    tracker = Tracker(Settings(budget=budget))
+    for start in (0.0, 1.0, 2.0):
+        verdict = tracker.take(slowed(24.0, 10.0).between(start, start + 20.0)).estimate.verdict
+        assert verdict.grade is not Grade.GOOD
+        assert ('raise `budget`' if budget else 'plant changed') in verdict.reason
+
+
+@pytest.mark.parametrize('budget', [0.03, 0.04, 0.06, 0.1, 0.3, 0.0])
+def test_other_dead_times_are_looked_for_or_it_is_said(budget):
+    verdict = identify(slowed(20.0, 30.0), Settings(
+        budget=budget, delay=0.05, feedthrough=False)).verdict
+    print(verdict.reason)
+    assert verdict.grade is not Grade.GOOD
+    assert 'ead times of' in verdict.reason or 'whether other dead times' in verdict.reason
+
+
+@pytest.mark.parametrize('settings', [Settings(refine=False), Settings(method='ct-pbsid')])
+def test_more_budget_is_not_asked_for_where_nothing_is_left_out(settings):
+    """Changes are never looked for without refinement."""
+    found = identify(slowed(20.0, 30.0), settings.replace(budget=0.02))
+    assert found.statistics['seconds_spent'] > 0.02
+    assert 'raise `budget`' not in ' '.join((found.verdict.reason, *found.notes))
 
 
 @pytest.mark.parametrize(('budget', 'feedthrough'), [

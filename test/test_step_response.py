@@ -48,16 +48,17 @@ def test_deviation_is_what_small_changes_make():
     np.testing.assert_allclose(found.std[1:], np.sqrt(squares)[1:], rtol=1e-3)
 
 
-@pytest.mark.parametrize('late', [(0.0, 0.0), (0.2, 0.0), (0.5, 0.1)])
+@pytest.mark.parametrize('late', [(0.0, 0.0), (0.2, 0.0), (0.5, 0.1), (2.5, 1.0)])
 def test_rivals_vary_it_with_their_share(late):
     """Beside a step after the model's dead time: a rival of another one has moved before."""
+    model = replace(TWO, delay=(1.7, 0.0))
     other = StateSpace(np.diag([-1.0, -3.0, -9.0]), np.ones((3, 2)), np.ones((2, 3)), delay=late,
                        x_trim=[1.0, 2.0, 3.0], y_trim=[5.0, 6.0])
     root = np.zeros((1, Covariance.entry_count(2, 2, 2)))
-    found = step_response(TWO, Covariance(root, 2, 2, 2, (Rival(0.25, other),)),
+    found = step_response(model, Covariance(root, 2, 2, 2, (Rival(0.25, other),)),
                           length=4.0, count=41)
     for j in range(2):
-        tau = np.maximum(found.times + TWO.delay[j] - late[j], 0.0)
+        tau = np.maximum(found.times + model.delay[j] - late[j], 0.0)
         moved = np.sum((1.0 - np.exp(np.outer(tau, np.diag(other.A)))) / -np.diag(other.A), axis=1)
         np.testing.assert_allclose(found.std[:, :, j], 0.5 * np.abs(
             moved[:, np.newaxis] - found.values[:, :, j]), atol=1e-12)

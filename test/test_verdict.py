@@ -32,11 +32,13 @@ from ctsid_core.judge.changed import Change
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.motion import motion_ahead, motion_within
 from ctsid_core.judge.rules import judge
+from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Remedy, Verdict
+from ctsid_core.search.solve import _doubt
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_ros.studies.robots import families as robots
 
@@ -661,6 +663,16 @@ def test_what_points_to_a_controller_is_the_first_reason(seed, what):
     told = identify(record, Settings(feedthrough=False))
     assert told.good
     assert not any('as when' in note for note in told.notes)
+
+
+@pytest.mark.parametrize(('slow_poles', 'doubted'), [
+    ([-0.01 + 3j], False), ([-0.01 + 3j, -0.01 - 3j], False), ([-0.01, -0.02], False),
+    ([-0.01, -0.01 + 3j], True), ([-0.01, -0.01 + 3j, -0.01 - 3j], True)])
+def test_a_slow_pair_is_two_states_however_its_poles_are_given(slow_poles, doubted):
+    samples = samples_of([excited(29)[1]], [[None]])
+    free = Free(True, True, (True,), 1.0, -1e-6, 100.0)
+    found = _doubt(np.array([*slow_poles, -5.0], dtype=complex), samples, free, Settings())
+    assert (found is not None) is doubted
 
 
 @pytest.mark.slow

@@ -55,6 +55,7 @@ _NOTHING = 1e-9       # of a direction: less of it is rounding
 _EDGE = 0.08          # of a record, within which it is not divided
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
+_ASKED = 'whether the plant changed within the window'
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
 NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
@@ -126,7 +127,7 @@ def _explained(samples: Samples, own: Own, found: Change) -> Change:
 
 def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the most likely division of a record."""
-    if samples.effort.over:
+    if samples.effort.leaves_out(_ASKED):
         return Change()
     found = max((_divided(samples, own, whole, place, share)
                  for share in _likely(only(samples, place), own, whole)),
@@ -195,7 +196,8 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         gain = samples.ny * count * np.log(own_states / all_of_it)
         promise += np.where(count >= fewest, gain, 0.0)
     price = _numbers(samples, own) * float(np.log(np.max(counts)))
-    likely = np.flatnonzero((promise > price) & (left < _FURTHER * most))
+    likely = np.flatnonzero((promise > price) & (left < _FURTHER * most) & (early >= fewest)
+                            & (len(span) - early >= fewest))
     return [_INSTANTS[k] for k in likely[np.argsort(left[likely], kind='stable')][:_LIKELY]]
 
 
@@ -244,7 +246,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     Of a record that begins with the division, one of its own, beside that of all. Of a recording
     with pauses a side has the parts before the division, or those after it.
     """
-    if samples.effort.over:
+    if samples.effort.leaves_out(_ASKED):
         return Change()
     alone, samples, (model, free) = len(recordings(samples)) == 1, only(samples, place), own
     first, last = samples.records[0].span

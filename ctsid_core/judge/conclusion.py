@@ -82,8 +82,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     # Last what a budget may leave out.
-    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.over else \
-        lead_of_outputs(*simulated, sought)
+    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.leaves_out(
+        'whether outputs answer before inputs') else lead_of_outputs(*simulated, sought)
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
@@ -146,9 +146,8 @@ def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
 
 def _spent(effort: Effort) -> str:
     """Return what the budget has left out at the end, in words."""
-    return (f'the budget of {effort.budget:.3g} s is spent: whether the plant changed or drifts '
-            'within the window, and whether outputs answer before inputs, was looked at in part '
-            'or not at all; raise `budget`') if effort.over else ''
+    return (f'the budget of {effort.budget:.3g} s is spent; not asked, or in part, is '
+            f'{", ".join(effort.left_out)}; raise `budget`') if effort.left_out else ''
 
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:

@@ -25,6 +25,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.drifting import standing
 
 _PART = 0.3           # of what drifts, that is not told
+_ASKED = 'whether the plant drifts'
 
 
 class InputDrift(NamedTuple):
@@ -98,7 +99,7 @@ def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArr
 
 
 def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift:
-    if samples.effort.over or not samples.counts.all():
+    if not samples.counts.all() or samples.effort.leaves_out(_ASKED):
         return Drift()
     slopes = slopes_of(samples, own)
     constant, drifting = slopes.beside(slopes.rows[:, :0]), slopes.beside(slopes.drift)
@@ -115,7 +116,7 @@ def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift
     by_chance = after * numbers / ny / np.maximum(n_eff - drifting.numbers / ny, 1.0)
     missed = np.maximum(before - after - by_chance, 0.0)
     if gain <= numbers * float(np.log(max(float(np.max(n_eff)), 2.0))) \
-            or np.max(missed) <= (0.01 * least) ** 2 or samples.effort.over:
+            or np.max(missed) <= (0.01 * least) ** 2 or samples.effort.leaves_out(_ASKED):
         return Drift()
     if drifting.cost >= slopes.beside(curves_of(samples, slopes.fit)).cost:
         return Drift()

@@ -62,7 +62,6 @@ _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples 
 _BY_LOG = 'in a bag: set `stamp: log` for all channels'
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = 'The model has not been tested on held-out data: '
-_UNASKED = 'Not all is tested, for '
 
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
@@ -268,7 +267,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
     if e.spent:
-        yield Remedy.SETTING, f'{_UNASKED}{e.spent}.'
+        yield Remedy.SETTING, f'Not all is tested: {e.spent}.'
 
 
 def _more(times: float, *, alone: bool) -> str:
@@ -438,8 +437,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     model = estimate.model
     if model is None:
         return replace(estimate, verdict=verdict)
-    if verdict.reason.startswith((UNTESTED, _UNASKED)) \
-            and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
+    if verdict.reason.startswith(UNTESTED) and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
         verdict = replace(verdict, grade=Grade.GOOD, remedy=Remedy.TEST,
                           reason='Every test is passed; the previous model simulates the new '
                           'data of this window well.')

@@ -38,7 +38,8 @@ from ctsid_core.model.statespace import StateSpace
 
 _KNOWN = 1e-10        # of the largest singular value of the scaled root: below it is rounding
 _EQUAL = 1e-6         # of the largest pole, and of its largest change: more is a difference
-_STATIC = 0.1         # of the slowest pole: there the response is the DC gain to 0.5 %
+_STATIC = 0.1         # of the slowest pole: the DC gain but for 0.5 %, and 0.1 rad, which count
+                      # as modes do that outlast a record
 
 
 class Entries(NamedTuple):
@@ -312,8 +313,8 @@ def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
     """
     try:
         own = covariance.response_changes(model, np.zeros(1))[:, 0].real
-        slow = _STATIC * np.min(np.abs(model.poles), initial=np.inf)
-        apart = covariance.rival_differences(model, [slow if np.isfinite(slow) else 0.0])[:, 0]
+        slow = _STATIC * np.min(np.abs(model.poles)) if model.n else 0.0
+        apart = covariance.rival_differences(model, [slow])[:, 0]
         return np.where(np.isfinite(model.dc_gain), _deviation(np.concatenate((own, apart))),
                         np.inf)
     except np.linalg.LinAlgError:

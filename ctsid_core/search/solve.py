@@ -519,7 +519,8 @@ def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> Do
 
     What missing states leave is no noise, and predictions would take it for that.
     """
-    sought = 0 < settings.order < settings.max_order and not samples.effort.beyond(SEARCH)
+    sought = 0 < settings.order < settings.max_order and not samples.effort.leaves_out(
+        'whether more states predict better', SEARCH)
     found = _predicted(part, settings.replace(order=0), samples, free) if sought else None
     return None if found is None or len(found.matrices.A) <= settings.order else (
         f'more states than the {settings.order} that are given predict better, as when the order '
@@ -530,10 +531,10 @@ def _other_delays(found: Solution, settings: Settings, effort: Effort) -> Doubt 
     """Return that dead times are given with which less is explained than with others, if so."""
     own, simulated = own_delays(found.part, settings), found.simulated
     unknown = np.array(own.unknown_delays(len(found.delay)))
-    if unknown.all() or simulated is None or effort.beyond(SEARCH):
+    if unknown.all() or simulated is None:
         return None
     left = [tried(*one).unexplained for one in (simulated, found.drifting) if one]
-    if min(left) <= UNEXPLAINED:
+    if min(left) <= UNEXPLAINED or effort.leaves_out('whether other dead times explain more'):
         return None
     samples, (_, fit, given) = simulated[0].thinned(SEARCHED), simulated
     free = replace(given, delays=(True,) * samples.nu)

@@ -490,9 +490,10 @@ def _fit_on(estimate: Estimate, number: int) -> Array:
 def _origin(outcome: Outcome, args: argparse.Namespace) -> dict[str, object]:
     from ctsid_ros.replay.results import bag_hash
 
-    records = [{'bag': [Path(b).name for b in s.bags], 'sha256': bag_hash(s.bags),
-                'start': s.span[0], 'end': s.span[1]}
-               for s in outcome.sources] if len(outcome.sources) > 1 else []
+    several = outcome.sources if len(outcome.sources) > 1 else ()
+    known = {bags: bag_hash(bags) for bags in {s.bags for s in several}}
+    records = [{'bag': [Path(b).name for b in s.bags], 'sha256': known[s.bags],
+                'start': s.span[0], 'end': s.span[1]} for s in several]
     return origin(outcome.config, args.bag, _interval(args), records)
 
 

@@ -166,13 +166,14 @@ def _own_data(estimate: Estimate, record: Record, bags: Sequence[str],
     from ctsid_ros.replay.results import bag_hash
 
     start, end = (record.epoch_ns + round(1e9 * t) for t in (record.start, record.end))
-    parts = [(one.start_ns, one.end_ns) for one in estimate.records] or \
-        [(estimate.start_ns, estimate.end_ns)]
-    shared = sum(max(min(end, last) - max(start, first), 0) for first, last in parts) * 1e-9
-    records = origin.get('records')
-    known = [one.get('sha256') for one in (origin, *(records if isinstance(records, list) else ()))
-             if isinstance(one, dict)]
-    if not shared or start < _DATED and bag_hash(bags) not in filter(None, known):
+    parts = [(one.number, one.start_ns, one.end_ns) for one in estimate.records] or \
+        [(1, estimate.start_ns, estimate.end_ns)]
+    if start < _DATED and ((own := bag_hash(bags)) is None or own != origin.get('sha256')):
+        records = origin.get('records')
+        known = [one.get('sha256') for one in records] if isinstance(records, list) else []
+        parts = [part for part in parts if own and own in known[part[0] - 1:part[0]]]
+    shared = sum(max(min(end, last) - max(start, first), 0) for _, first, last in parts) * 1e-9
+    if not shared:
         return ()
     return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the '
             'model was identified from: its fit there is no test; give a recording that it has '
