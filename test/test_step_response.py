@@ -64,6 +64,13 @@ def test_rivals_vary_it_with_their_share(late):
             moved[:, np.newaxis] - found.values[:, :, j]), atol=1e-12)
 
 
+def test_a_rival_that_leaves_the_range_of_numbers_does_not_count():
+    grows = StateSpace([[400.0]], np.ones((1, 2)), np.ones((2, 1)))
+    root = np.zeros((1, Covariance.entry_count(2, 2, 2)))
+    found = step_response(TWO, Covariance(root, 2, 2, 2, (Rival(0.25, grows),)), length=4.0)
+    assert not found.std.any()
+
+
 @pytest.mark.parametrize(('A', 'seconds'), [
     ([[-2.0]], 2.5), ([[0.0]], 1.0), ([[3.0]], 1.0), ([[0.0, 1.0], [0.0, -4.0]], 1.25)])
 def test_as_long_as_it_moves(A, seconds):

@@ -198,7 +198,7 @@ def step_response(model: StateSpace, covariance: Covariance | None = None, *,
             return StepResponse(times, values, np.full_like(values, np.nan))
         apart = [share * (_stepped(other, model.delay, times) - values) ** 2
                  for share, other in covariance.rivals]
-        variance = sum((np.where(np.isfinite(one), one, 0.0) for one in apart),
+        variance = sum((one for one in apart if np.isfinite(one).all()),
                        np.sum(changes ** 2, axis=1))
     return StepResponse(times, values, np.sqrt(variance))
 
