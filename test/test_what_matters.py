@@ -453,8 +453,8 @@ def rms_error(found, record):
     return np.sqrt(np.mean(e ** 2)) / np.std(y)
 
 
-@pytest.mark.parametrize(('seed', 'number', 'same'), [(12, 0, True), (106, 1, False)])
-def test_what_two_models_leave_is_what_they_do_to_first_order(seed, number, same):
+@pytest.mark.parametrize(('seed', 'number', 'count'), [(12, 0, 2), (12, 3, 2), (106, 1, 1)])
+def test_what_two_models_leave_is_what_they_do_to_first_order(seed, number, count):
     """At the instants that leave least, beside least squares on each side; states are free."""
     record = experiment('no-gain-jump', seed, number).record
     samples = samples_of([record], [[None]])
@@ -474,10 +474,9 @@ def test_what_two_models_leave_is_what_they_do_to_first_order(seed, number, same
         for side in (shares <= at, shares > at)], axis=0) for at in instants])
     best, most = instants[np.argsort(rest)[:2]], instants[np.argsort(promise)[-2:]]
     print(best, most)
-    found = changed._likely(thin, own, own)
-    assert found
-    assert found == pytest.approx(best[:len(found)])    # that of too much left out
-    assert (sorted(best) == sorted(most)) is same       # where they promise most may be elsewhere
+    # Where they leave too much for a change is not looked at, nor where they promise most.
+    assert changed._likely(thin, own, own) == pytest.approx(best[:count])
+    assert seed == 12 or best[0] not in most
 
 
 def test_two_smaller_models_are_tried_where_they_may_leave_less():

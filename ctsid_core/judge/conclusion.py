@@ -91,7 +91,6 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     effort.check()
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
-    spent = evidence.spent
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
     accepted = status is Status.OK
@@ -106,7 +105,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                *(change_note(evidence) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, solution.doubt)) if setting not in verdict.reason),
-               *((spent,) if spent and spent not in verdict.reason else ())),
+               *((evidence.spent,) if evidence.spent not in verdict.reason else ())),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
                     'drift_cost': drift.cost},
         records=_shares(solution) if part.several else ())

@@ -166,15 +166,18 @@ def _own_data(estimate: Estimate, record: Record, bags: Sequence[str],
     from ctsid_ros.replay.results import bag_hash
 
     start, end = (record.epoch_ns + round(1e9 * t) for t in (record.start, record.end))
-    parts = [(one.number, one.start_ns, one.end_ns) for one in estimate.records] or \
-        [(1, estimate.start_ns, estimate.end_ns)]
-    if start < _DATED and ((own := bag_hash(bags)) is None or own != origin.get('sha256')):
+    parts = {one.number: (one.start_ns, one.end_ns) for one in estimate.records} or {
+        1: (estimate.start_ns, estimate.end_ns)}
+    both = {k: min(end, last) - max(start, first) for k, (first, last) in parts.items()
+            if min(end, last) > max(start, first)}
+    if both and start < _DATED and (
+            (own := bag_hash(bags)) is None or own != origin.get('sha256')):
         records = origin.get('records')
         known = [one.get('sha256') for one in records] if isinstance(records, list) else []
-        parts = [part for part in parts if own and own in known[part[0] - 1:part[0]]]
-    shared = sum(max(min(end, last) - max(start, first), 0) for _, first, last in parts) * 1e-9
-    if not shared:
+        both = {k: ns for k, ns in both.items() if own and own in known[k - 1:k]}
+    if not both:
         return ()
+    shared = sum(both.values()) * 1e-9
     return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the '
             'model was identified from: its fit there is no test; give a recording that it has '
             'not seen',)
