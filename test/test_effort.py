@@ -209,6 +209,17 @@ def test_what_the_budget_left_untested_is_not_good(budget):
     assert budget or 'plant changed' in verdict.reason
 
 
+def test_the_reason_names_what_was_left_out_or_a_note_does():
+    found = identify(slowed(20.0, 10.0), Settings(budget=0.02))
+    for what in ('outputs answer before inputs', 'the plant changed', 'the plant drifts'):
+        assert found.verdict.reason.count(what) == 1
+    assert not any('not asked' in note or not note for note in found.notes)
+    found = identify(slowed(20.0, 30.0), Settings(
+        budget=0.06, delay=0.33, feedthrough=False, order=1))
+    assert 'budget' not in found.verdict.reason          # there is a graver one
+    assert any('whether more states predict better' in note for note in found.notes)
+
+
 @pytest.mark.parametrize('budget', [0.03, 0.0])
 def test_new_data_do_not_test_what_the_budget_left_untested(budget):
     """The previous model may be the mean of two plants, too, and foretell as well as before."""

@@ -479,6 +479,25 @@ def test_what_two_models_leave_is_what_they_do_to_first_order(seed, number, coun
     assert seed == 12 or best[0] not in most
 
 
+def test_sides_too_short_for_a_model_are_not_looked_at():
+    """A lag that halves after a sixth of 120 samples; each side needs three for each number."""
+    rng, t, x = np.random.default_rng(0), np.arange(0.0, 12.0, 0.1), np.zeros(120)
+    u = np.repeat(np.sign(rng.standard_normal(24)), 5)
+    for k, now in enumerate(t[:-1]):
+        keep = np.exp(-0.1 * (3.0 if now < 2.0 else 1.5))
+        x[k + 1] = keep * x[k] + (1.0 - keep) * u[k]
+    samples = samples_of([Record.from_arrays(
+        t, u, t, x + 0.01 * rng.standard_normal(120), input_hold='zoh')], [[None]])
+    free = Free(False, True, (True,), 1.0, -1e-6, 30.0)
+
+    def looked_at(poles):
+        fit = climb(samples, fit_at(samples, np.array(poles), np.array([0.01]), free), free)
+        return changed._likely(samples, (fit.model, free), (fit.model, free))
+    assert min(looked_at([-1.0 + 0j])) < 0.2
+    for at in looked_at([-1.0 + 0j, -3.0, -9.0]):
+        assert min(at, 1.0 - at) * 120 >= 3 * (3 * 3 + 2)
+
+
 def test_two_smaller_models_are_tried_where_they_may_leave_less():
     """Two lags do not explain what two masses do, so it is no change of a lag."""
     samples = samples_of([experiment('two-masses', 12, 0).record], [[None]])
