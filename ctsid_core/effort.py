@@ -28,14 +28,15 @@ class Effort:
     The effort of one identification.
 
     It may take a budget of processor time [s], as far as `RATE` knows; 0: no limit. `cancelled`
-    returns whether nobody wants the result any more. Raises `SettingsError` if the environment
+    returns whether nobody wants the result any more; `left_out` are the tests that the budget did
+    not last for, in words. Raises `SettingsError` if the environment
     variable CTSID_WORK_RATE is not a positive number.
     """
 
     def __init__(self, budget: float = 0.0, cancelled: Callable[[], bool] | None = None) -> None:
         self.budget, self._cancelled = budget, cancelled
         self._work, self._kept, self._rate = 0.0, 0.0, work_rate()
-        self.left_out: list[str] = []       # tests that the budget did not last for, in words
+        self.left_out: list[str] = []
 
     def check(self) -> None:
         """Go on, if it is still wanted; else raise `Cancelled`."""

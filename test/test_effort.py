@@ -44,6 +44,15 @@ def test_work_becomes_seconds_and_the_budget_ends(monkeypatch):
     assert effort.over
 
 
+def test_what_is_left_out_is_kept_once():
+    effort = Effort(1.0)
+    assert not effort.leaves_out('one')
+    effort.spend(effort.worth(0.7))
+    assert [effort.leaves_out(what, 0.6) for what in ('two', 'two', 'three')] == [True] * 3
+    assert not effort.leaves_out('four')
+    assert effort.left_out == ['two', 'three']
+
+
 def test_without_a_budget_there_is_no_end():
     effort = Effort()
     effort.spend(1e30)
