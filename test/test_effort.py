@@ -229,11 +229,13 @@ def test_the_reason_names_what_was_left_out_or_a_note_does():
     assert any('whether more states predict better' in note for note in found.notes)
 
 
+@pytest.mark.parametrize(('held_out', 'starts'), [
+    (0.3, (0.0, 1.0, 2.0)), (0.0, (0.0, 1.0))])         # the change is found in a third one
 @pytest.mark.parametrize('budget', [0.03, 0.0])
-def test_new_data_do_not_test_what_the_budget_left_untested(budget):
+def test_new_data_do_not_test_what_the_budget_left_untested(budget, held_out, starts):
     """The previous model may be the mean of two plants, too, and foretell as well as before."""
-    tracker = Tracker(Settings(budget=budget))
-    for start in (0.0, 1.0, 2.0):
+    tracker = Tracker(Settings(budget=budget, held_out=held_out))
+    for start in starts:
         verdict = tracker.take(slowed(24.0, 10.0).between(start, start + 20.0)).estimate.verdict
         assert verdict.grade is not Grade.GOOD
         assert ('raise `budget`' if budget else 'plant changed') in verdict.reason

@@ -264,10 +264,11 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'{_percent(e.learnt[i])}; take a longer window.')
     if e.doubt and e.doubt[1] == ANY_DELAY:
         yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{ANY_DELAY}`.'
-    if not np.isfinite(e.expected).any():
-        yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
     if e.spent:
         yield Remedy.SETTING, f'Not all is tested: {e.spent}.'
+    # Last: new data lift this, and must not lift anything beside it (`in_sequence`).
+    if not np.isfinite(e.expected).any():
+        yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
 
 
 def _more(times: float, *, alone: bool) -> str:
