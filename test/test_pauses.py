@@ -16,7 +16,7 @@ from plants import held_response, noisy, plant
 import pytest
 from scipy.signal import lfilter
 
-from ctsid_core import Grade, Record, Signal, Status, identify
+from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.judge.motion import motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
@@ -109,6 +109,21 @@ def test_samples_that_come_in_bursts_are_no_parts():
     t = np.concatenate([k + np.arange(8) * 0.01 for k in np.arange(0.0, 6.0, 0.8)])
     bursts = Record.from_arrays(t, np.sin(t), t, np.cos(t))
     assert between_pauses(bursts) == (bursts,)
+
+
+@pytest.mark.parametrize('period', [0.1, 0.2, 0.25])
+def test_clumps_of_arrival_are_no_parts(period):
+    """All that arrives at a time is of some milliseconds: none is an experiment."""
+    for seed in range(3):
+        t_u, u, t_y, y = moved(seed)
+        late = recorded(clumped(t_u, period), u, clumped(t_y, period), y)
+        assert between_pauses(late) == (late,)
+        assert identify(late, Settings(feedthrough=False)).verdict.reason
+
+
+def clumped(time, period):
+    clumps = np.ceil(time / period) * period
+    return np.maximum.accumulate(clumps) + 1e-5 * np.arange(len(time))
 
 
 def test_where_most_samples_are_in_short_parts_all_are_used():

@@ -45,7 +45,7 @@ def test_a_plain_table(tmp_path):
 @pytest.mark.parametrize(('title', 'scale'), [
     ('t [s]', 1), ('time(ms)', 1e-3), ('t_us', 1e-6), ('timestamp [ns]', 1e-9),
     ('Time / ms', 1e-3), ('TimeUS', 1e-6), ('elapsed_time', 1), ('secs', 1), ('% time <ms>', 1e-3),
-    ('time_nsec', 1e-9), ('t', 1)])
+    ('time_nsec', 1e-9), ('t', 1), ('time [min]', 60), ('t_min', 60), ('Time (hours)', 3600)])
 def test_the_unit_of_a_time_is_in_its_name(tmp_path, title, scale):
     times = [f'{value:.12g}' for value in T / scale]
     path = write_csv(tmp_path / 'a.csv', {title: times, 'u': T})
@@ -76,6 +76,20 @@ def test_steps_that_could_be_milliseconds_are_told(tmp_path, step, told):
     path = write_csv(tmp_path / 'a.csv', {'t': step * np.arange(20), 'u': T})
     np.testing.assert_allclose(stamps(path), step * 1e9 * np.arange(20), atol=1)
     assert ('taken as s' in notes(path)) == told
+
+
+def test_a_unit_that_is_not_known_is_told(tmp_path):
+    path = write_csv(tmp_path / 'a.csv', {'time [frames]': T, 'u': T})
+    np.testing.assert_allclose(stamps(path), T * 1e9, atol=1)
+    assert "time have the unit 'frames', which is not known, and are taken as s" in notes(path)
+
+
+def test_steps_are_those_of_rows_in_order(tmp_path):
+    times = np.random.default_rng(0).permutation(0.01 * np.arange(2000))
+    path = write_csv(tmp_path / 'a.csv', {'t': times, 'u': times})
+    np.testing.assert_allclose(np.sort(stamps(path, time=['t'])), np.sort(times) * 1e9, atol=1)
+    one = write_csv(tmp_path / 'b.csv', {'t': [0.5], 'u': [1.0]})
+    assert 'column t has no two times' in refused(one)
 
 
 def test_nanoseconds_are_exact(tmp_path):

@@ -15,7 +15,7 @@ from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
-from ctsid_core.judge.feedback import distance_to_controller
+from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import WITHIN, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
@@ -44,7 +44,7 @@ from ctsid_core.search.by_prediction import (
     in_record,
 )
 from ctsid_core.search.held_out import HeldOut, held_out
-from ctsid_core.search.solution import Doubt, Solution, at_fastest
+from ctsid_core.search.solution import GROWS, Doubt, Solution, at_fastest
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
@@ -238,13 +238,20 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        fastest=not solution.by_prediction and at_fastest(solution.fit, solution.free),
+        unheld=_unheld(solution, moving), fastest=not solution.by_prediction and at_fastest(solution.fit, solution.free),
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))
+
+
+def _unheld(solution: Solution, moving: StateSpace) -> bool:
+    """Return whether modes grow that predictions found, and no input is seen to hold."""
+    growth = float(np.max(moving.poles.real, initial=0.0))
+    return solution.by_prediction and growth * solution.samples.length > GROWS and not holds(
+        [p.record for p in solution.part.parts], growth, bool(moving.D.any()))
 
 
 def _drift(solution: Solution) -> Drift:

@@ -8,6 +8,11 @@ tells of how an input changes, if it tells more of that than the input's own pas
 near 0 then. Of a right model it is one over the sensitivity of the loop, which a controller that
 is any good keeps well away from 0.
 
+A plant that grows is held by a controller, or would not be there to be recorded. Where none is
+seen a mode that grows is that of a filter: what is filtered forward and backward in time
+(`filtfilt`, a centred mean) answers before it is asked, and a stable mode that runs backward is,
+forward, one that grows.
+
 References
 ----------
 Ljung, System Identification, 2nd edition, section 13.4 (closed loop, informative data).
@@ -33,6 +38,7 @@ _TOLERANCE = 1e-10    # of regressors that depend on each other
 _SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
+_RESTS = 0.5          # times e that a mode grows while the input that holds it rests
 
 
 def distance_to_controller(records: Sequence[Record], model: StateSpace,
@@ -53,6 +59,27 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
                     row[j] = _distance(answer, signal.period, model, j, excited[j])
                 j += 1
     return np.asarray(found.min(axis=0))
+
+
+def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
+    """
+    Return whether any input is seen that could hold a mode which grows as exp(growth t) [rad/s].
+
+    The outputs' past tells how it changes, and it does not rest while that mode grows. `at_once`:
+    outputs follow inputs at once.
+    """
+    return any(answer is not None and growth * rest < _RESTS
+               for record in records for signal in record.inputs
+               for answer, rest in zip(_answers(signal, record, at_once),
+                                       _rests(signal, record), strict=True))
+
+
+def _rests(signal: Signal, record: Record) -> list[float]:
+    """Return for how long each channel keeps exactly the same value, at most [s]."""
+    rows = signal.rows(record.start, record.end)
+    times, values = signal.time[rows], signal.values[rows]
+    return [float(np.max(np.diff(times[np.append(True, np.diff(own) != 0.0)], append=record.end)))
+            for own in values.T]
 
 
 def _distance(answer: Array, step: float, model: StateSpace, j: int, excited: Excitation) -> float:

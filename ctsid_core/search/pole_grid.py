@@ -124,13 +124,14 @@ class PoleGrid:
 
 def _explained(own: Array, basis: Array, left: Array) -> Array:
     """Return the squares that columns, (m, q, N), explain of errors beside a basis."""
-    flat = own.reshape(-1, len(basis))              # one product is quicker than many
+    count, width, rows = own.shape
+    flat = own.reshape(count * width, rows)         # one product is quicker than many
     flat -= (flat @ basis) @ basis.T
     gram = own @ own.swapaxes(1, 2)
     scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
     gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
         + _RIDGE * np.eye(gram.shape[1])
-    pull = (flat @ left).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
+    pull = (flat @ left).reshape(count, width, left.shape[1]) / scale[:, :, np.newaxis]
     return np.asarray(np.sum(pull * np.linalg.solve(gram, pull), axis=1))
 
 
@@ -321,9 +322,9 @@ class _Shape:
         for j, (place, part) in enumerate(places[d] for d in delay.tolist()):
             read = self.driven[j][place]
             read += part * (self.driven[j][place + 1] - read)
-            found[:, :, j] = read.T.reshape(*self.size, -1)
+            found[:, :, j] = read.T.reshape(*self.size, len(times))      # perhaps none
         found[:, :, -1] = self.free(stream, cells.record.start)
-        return found.reshape(len(found), -1, len(times))
+        return found.reshape(len(found), self.size[1] * (len(delay) + 1), len(times))
 
     def free(self, stream: Stream, start: float) -> Array:
         """Return the free responses, (m, parts, N); kept, for dead times do not matter."""

@@ -26,6 +26,7 @@ Doubt = tuple[str, str]
 ANY_ORDER, ANY_DELAY = GIVEN = ('order: 0', 'delay: auto')
 
 
+GROWS = 1.0           # times e within the record: less does not tell a plant that grows
 NEARLY = 0.95         # of a bound: what is near it stands in for more
 
 

@@ -46,6 +46,7 @@ from ctsid_core.search.solution import (
     ANY_DELAY,
     ANY_ORDER,
     DISTURBED,
+    GROWS,
     NEARLY,
     Doubt,
     Solution,
@@ -74,7 +75,6 @@ from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 _FASTEST = 0.95       # of the outputs' Nyquist frequency: the fastest pole
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
                       # plant in open loop, and it may grow
-_GROWS = 1.0          # times e within the record: less does not tell a plant that grows
 _GROWN = 2.0          # times e, as far as a plant that grows has to predict
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
@@ -112,7 +112,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, samples, free)
     # A plant that grows predictions tell at once: of closed loops many states simulate the record.
-    if predicted is not None and _growth(predicted, samples) > _GROWS and (
+    if predicted is not None and _growth(predicted, samples) > GROWS and (
             solved := _as_likely(part, settings, seen, samples, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
@@ -134,8 +134,8 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         f'{fewer} state{"s explain" if fewer > 1 else " explains"} as much as the {order} that '
         'are given', ANY_ORDER)
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
-    if predicted is not None and _growth(predicted, samples) < -_GROWS and np.any(
-            np.abs(best.fit.model.poles.real) * samples.length < _GROWS) and (
+    if predicted is not None and _growth(predicted, samples) < -GROWS and np.any(
+            np.abs(best.fit.model.poles.real) * samples.length < GROWS) and (
             solved := _as_likely(part, settings, seen, samples, free, predicted)):
         return solved
     if own.feedthrough:
@@ -148,11 +148,11 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         best = climbed(samples, best, free)
     disturbed, grows, left = None, False, best.left
     wanted = _wanted(part, settings, samples, free) if left > UNEXPLAINED else None
-    if wanted and predicted is not None and _growth(predicted, samples) <= _GROWS:
+    if wanted and predicted is not None and _growth(predicted, samples) <= GROWS:
         predicted = None
     if own.feedthrough and not effort.beyond(SEARCH) and left > UNEXPLAINED:
         predicted = _predicted(part, settings, samples, free)
-        grows = predicted is not None and _growth(predicted, samples) > _GROWS
+        grows = predicted is not None and _growth(predicted, samples) > GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
         if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows or wanted else predicted
@@ -376,7 +376,7 @@ def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Setti
            grows: bool = False) -> Doubt | None:
     """Return what a model looks like if the setting of D is not right, and that setting."""
     poles = poles[poles.imag >= 0.0]
-    near = poles.real * samples.length >= -_GROWS
+    near = poles.real * samples.length >= -GROWS
     steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
     if own.feedthrough and (grows or steady > 2):
         what = 'predictions find a mode that grows' \
@@ -581,7 +581,7 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
     if not _predicts_better(part, samples, best, found):
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
-    plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
+    plant = None if _growth(found, samples) > GROWS else _plant_of(part, samples, found, free)
     if plant is not None and plant.simulated.unexplained < DISTURBED:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
@@ -610,10 +610,10 @@ def _predicts_better(part: Joint, samples: Samples, best: Tried,
     noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = _growth(found, samples), 0.0, 0.0
-    doubted = growth > _GROWS and best.unexplained < UNEXPLAINED
+    doubted = growth > GROWS and best.unexplained < UNEXPLAINED
     poles = best.fit.model.poles
-    asked = growth <= _GROWS and not np.any(
-        (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
+    asked = growth <= GROWS and not np.any(
+        (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < GROWS))
     for place, counts in enumerate(samples.counts):
         record, last = samples.records[place], _compared(part, place)
         # Nor do outputs count that no simulation knows the inputs of.

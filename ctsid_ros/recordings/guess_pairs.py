@@ -136,7 +136,7 @@ class Comparison:
         self._rows = np.flatnonzero(inside)[::max(int(inside.sum() / _ROWS), 1)]
         self._outputs = [self._output(y) for y in outputs]
         table = np.nan_to_num(np.array([y for y, _ in self._outputs])).T
-        self._table = table / np.maximum(table.std(axis=0), 1e-300)
+        self._table = table / np.maximum(table.std(axis=0), 1e-300) if len(table) else table
 
     @property
     def possible(self) -> bool:

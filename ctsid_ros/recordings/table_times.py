@@ -22,15 +22,18 @@ from ctsid_ros.decoding.field_path import nearest
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.series import BOOT_NS
 
-UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
-_WORDS = {**dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 's'),
+_GUESSED = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+UNITS = {**_GUESSED, 'min': 60 * 10**9, 'h': 3600 * 10**9}
+_WORDS = {**dict.fromkeys(('h', 'hr', 'hrs', 'hour', 'hours'), 'h'),
+          **dict.fromkeys(('min', 'mins', 'minute', 'minutes'), 'min'),
+          **dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 's'),
           **dict.fromkeys(('ms', 'msec', 'msecs', 'millis', 'millisecond', 'milliseconds'), 'ms'),
           **dict.fromkeys(('us', 'µs', 'μs', 'usec', 'usecs', 'micros', 'microsecond',
                            'microseconds'), 'us'),
           **dict.fromkeys(('ns', 'nsec', 'nsecs', 'nanos', 'nanosecond', 'nanoseconds'), 'ns')}
 _NAME = re.compile(
     r'_*(t|times?|time_?stamps?|timestamps?|stamps?|secs?|seconds|date|datetime)([^a-z].*)?'
-    r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec))?|time(us|ms|ns)')
+    r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec|min|h))?|time(us|ms|ns)')
 _RATE = re.compile(r'(\d+\.?\d*|\.\d+)\s*Hz', re.IGNORECASE)
 _SECONDS = re.compile(r'(?<![a-z])(secs?|seconds)$', re.IGNORECASE)
 _NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNORECASE)
@@ -144,7 +147,8 @@ def constant_rate(wanted: Sequence[str], columns: Sequence[Column]) -> float:
 
 def _is_called_time(name: str) -> bool:
     word = name.lower()
-    return bool(_NAME.fullmatch(word)) or _WORDS.get(word, 's') != 's'  # `s` may be a length
+    # `s` may be a length, and `min` the least of something
+    return bool(_NAME.fullmatch(word)) or _WORDS.get(word, 's') not in ('s', 'min', 'h')
 
 
 def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str,
@@ -182,7 +186,8 @@ def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str,
     if rising and rising[0] == 0:
         return rising[:1]
     why = _texts(texts, filter(_is_called_time, texts)) + [
-        f'column {column.name} goes back or stands still too often' for column in columns
+        f'column {column.name} ' + ('goes back or stands still too often' if column.known.sum() > 1
+                                    else 'has no two times') for column in columns
         if column.named_time]
     raise BagError(f'{path}: no column is known to be the time: '
                    + ('; '.join(why) or 'none is called t or time and increases')
@@ -242,19 +247,21 @@ def _suffix(name: str) -> str:
 
 def _guess(column: Column) -> tuple[str, str]:
     """Return the unit that the values tell, and a note on how."""
-    values = column.values[column.known].astype(np.float64)
+    values = np.sort(column.values[column.known].astype(np.float64))    # rows may be in disorder
     steps = np.diff(values)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     middle = float(np.median(values)) if len(values) else 0.0
-    dated = [unit for unit, ns in UNITS.items()
+    dated = [unit for unit, ns in _GUESSED.items()
              if _CENTURY[0] < middle * ns * 1e-9 < _CENTURY[1] and 1e-7 < step * ns * 1e-9 < 1e4]
     if dated:
         return dated[0], ''
-    slowest = {unit: _SLOWEST * UNITS['s'] / ns for unit, ns in UNITS.items()}
-    unit = next((unit for unit in UNITS if step < slowest[unit]), 'ns')
-    if unit == 's' and step < _SURE:
+    slowest = {unit: _SLOWEST * UNITS['s'] / ns for unit, ns in _GUESSED.items()}
+    unit = next((unit for unit in _GUESSED if step < slowest[unit]), 'ns')
+    if unit == 's' and step < _SURE and not column.unit:
         return unit, ''
+    named = f'have the unit {column.unit!r}, which is not known,' if column.unit \
+        else 'name no unit'
     length = float(np.ptp(values)) * UNITS[unit] / UNITS['s'] if len(values) else 0.0
-    return unit, (f'the times of column {column.name} name no unit and are taken as {unit}, for '
+    return unit, (f'the times of column {column.name} {named} and are taken as {unit}, for '
                   f'they step by {step:g}: {length:.6g} s in all; if that is wrong, say --time '
-                  f'{column.name}:s (or ms, us, ns)')
+                  f'{column.name}:s (or {", ".join(list(UNITS)[1:])})')
