@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 
-from ctsid_core.bases.preparation import computable
+from ctsid_core.bases.preparation import as_measured, computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import conclude
@@ -92,8 +91,11 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     settings = settings or Settings()
     effort = Effort(settings.budget, cancelled)
     with one_thread():
-        cleaned = [computable(r) for r in records]
-        records, notes = tuple(r for r, _ in cleaned), chain.from_iterable(n for _, n in cleaned)
+        notes: list[str] = []
+        for clean in (computable, as_measured):
+            cleaned = [clean(r) for r in records]
+            records, notes = tuple(r for r, _ in cleaned), notes + [
+                note for _, own in cleaned for note in own]
         result = _identify(records, settings, effort)
         result = replace(result, notes=(*notes, *result.notes),
                          start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),

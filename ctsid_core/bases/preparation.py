@@ -12,9 +12,11 @@ from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.settings import Settings
+from ctsid_core.signals.bursts import without_bursts
 from ctsid_core.signals.gaps import FEWEST, missing
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices
+from ctsid_core.signals.repeats import without_repeats
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
@@ -89,6 +91,13 @@ def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
     inputs, outputs = (of(record.inputs, record.input_names),
                        of(record.outputs, record.output_names))
     return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
+
+
+def as_measured(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return a record with samples when and as often as they were measured, and notes on that."""
+    record, late = without_bursts(record)
+    record, often = without_repeats(record)
+    return record, (*late, *often)
 
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -169,7 +178,7 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
              for one, other, channels in zip(whole.outputs, record.outputs,
                                              channel_slices(whole.outputs), strict=True)
              if len(other.time) < len(one.time) for i in range(channels.start, channels.stop)}
-    part = usable(record, settings)
+    part = usable(as_measured(record)[0], settings)
     if not isinstance(part, Usable):
         return found
     columns = ((signal.time, bad) for signal, spiky in zip(
@@ -182,12 +191,13 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
 
 def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
     """
-    Return a record without the corrupt samples of its outputs, and a sentence on how many.
+    Return a record without corrupt samples of its outputs and repeated ones, and notes on them.
 
     For tests of a model on data: one spike of a sensor would else decide on the fit of a model
     that is right. Identification finds them by itself.
     """
-    found, outputs, notes = corrupt_outputs(record, settings), [], []
+    record, told = as_measured(record)
+    found, outputs, notes = corrupt_outputs(record, settings), [], list(told)
     for signal, place in zip(record.outputs, channel_slices(record.outputs), strict=True):
         times = [found[i] for i in range(place.start, place.stop) if i in found]
         bad = np.isin(signal.time, np.concatenate(times or [np.empty(0)]))

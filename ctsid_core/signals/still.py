@@ -43,7 +43,7 @@ def longest_still(record: Record) -> tuple[Still, ...]:
             if run is not None:
                 steps = np.abs(np.diff(y))
                 found.append(Still(output, times[run], float(np.min(steps[steps > 0.0])),
-                                   _is_noise(y[:run.start], y[run.stop:])))
+                                   is_noise(y[:run.start], y[run.stop:])))
     return tuple(found)
 
 
@@ -60,7 +60,7 @@ def _longest_run(times: Array, values: Array, duration: float) -> slice | None:
     return slice(int(starts[longest]), int(ends[longest]) + 1)
 
 
-def _is_noise(*parts: Array) -> bool:
+def is_noise(*parts: Array) -> bool:
     """Return whether the steps from sample to sample turn around as often as those of noise."""
     steps = [np.diff(part) for part in parts]
     count = sum(len(step) - 1 for step in steps if len(step) > 1)

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from ctsid_core.bases.preparation import as_measured
 from ctsid_core.signals.record import Record
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.block import Block
@@ -195,7 +196,8 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     if split is not None and not record.start < inside < record.end:
         raise BagError(f'{split:g} s does not lie within the recorded signals, which last from '
                        f'{_seconds(bag, record)}; choose another time to split at')
-    return Recorded(config, ingest.counts(), complaints, record=record,
+    record, notes = as_measured(record)
+    return Recorded(config, ingest.counts(), (*complaints, *notes), record=record,
                     split=math.nan if split is None else inside)
 
 

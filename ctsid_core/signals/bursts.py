@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Samples that arrive several at a time, and are stamped then.
+
+A radio, a serial port that is polled, a logger that writes in blocks: what was measured evenly
+comes with the stamps of its arrival, most of a sample's interval too late, and by another time
+each. Models follow these stamps with dead times and fast poles. Each sample is put back to where
+it was: evenly between the burst before and its own.
+
+What is measured in bursts is another matter. There the signal moves in the pauses, and from one
+burst to the next by more than from sample to sample; here by as much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.signals.gaps import FEWEST
+from ctsid_core.signals.record import Record, Signal, channel_slices
+
+_AT_ONCE = 0.1        # of the mean interval: samples less apart arrive together
+_REGULAR = 0.8        # of the bursts have as many samples as the median one, or one more or less
+_ALIKE = 0.5          # of the power of steps between bursts, that those within them have at least
+_PAUSE = 1.5          # times the usual time between bursts, over which one is spread at most
+
+
+def without_bursts(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return a record with samples of bursts where they were, and a sentence on each signal."""
+    notes: list[str] = []
+
+    def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
+        found = []
+        for signal, channels in zip(signals, channel_slices(signals), strict=True):
+            times, usual = _spread(signal.time, signal.values)
+            if usual > 1:
+                notes.append(
+                    f'samples of {", ".join(names[channels])} come about {usual} at a time, and '
+                    'are taken as measured evenly since the ones before; stamp them where they '
+                    'are measured (in a bag: `stamp: auto` takes such stamps)')
+                signal = replace(signal, time=times)
+            found.append(signal)
+        return tuple(found)
+    inputs, outputs = (of(record.inputs, record.input_names),
+                       of(record.outputs, record.output_names))
+    return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
+
+
+def _spread(times: Array, values: Array) -> tuple[Array, int]:
+    """Return where samples were, and how many there are in a burst; 1 if there are none."""
+    if len(times) < FEWEST:
+        return times, 1
+    gaps = np.diff(times)
+    between = gaps >= _AT_ONCE * (times[-1] - times[0]) / len(gaps)
+    last = np.flatnonzero(np.append(between, True))     # of each burst
+    counts = np.diff(last, prepend=-1)
+    usual = int(np.median(counts))
+    if usual < 2 or len(last) < FEWEST or \
+            np.mean(np.abs(counts - usual) <= 1) < _REGULAR:
+        return times, 1
+    steps = np.diff(values, axis=0) ** 2
+    if np.any(steps[~between].mean(axis=0) < _ALIKE * steps[between].mean(axis=0)):
+        return times, 1
+    arrived = times[last - counts + 1]      # all are measured before the first is stamped
+    pauses = np.diff(arrived)
+    period = float(np.median(pauses))
+    since = np.minimum(np.concatenate(([period], pauses)), _PAUSE * period)
+    behind = np.repeat(last, counts) - np.arange(len(times))        # until the last of its burst
+    return np.repeat(arrived, counts) - np.repeat(since / counts, counts) * behind, usual
