@@ -264,3 +264,21 @@ def test_a_joint_that_rings_after_a_step_does_not_drift():
     found = identify(given.record, given.settings)
     assert found.model.n == 3
     assert np.mean(simulated(found.model, given.test)) > 98.0
+
+
+@pytest.mark.parametrize(('sag', 'bump'), [(0.1, 0.0), (0.2, 0.0), (0.2, 0.03)])
+def test_what_an_input_explains_is_no_drift(sag, bump):
+    """A battery's voltage is nearly a line in time: own fits were 63, -177 and -27000 %."""
+    lag = plant([[-1.0]], [[1.0]], [[1.0]])
+    for seed in range(3):
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 15.0, 0.02)
+        u = np.repeat(rng.standard_normal(50), 15)[:len(t)]
+        voltage = 1.0 - sag * t / 15.0 + bump * np.sin(0.54 * t)
+        force = 9.8 * ((1.0 + 0.4 * u) * voltage - 1.0 + sag / 2.0)
+        t_y = np.arange(0.0, 15.0, 0.01)
+        y = noisy(rng, held_response(lag, t, force[:, np.newaxis], t_y), 34.0)
+        found = identify(Record.from_arrays(t, np.column_stack((u, voltage)), t_y, y,
+                                            input_hold='zoh'), Settings(feedthrough=False))
+        print(found.fit, found.verdict.reason)
+        assert found.fit[0] > 90.0
+        assert found.status is Status.OK

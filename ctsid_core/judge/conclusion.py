@@ -249,7 +249,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
 
 
 def _unheld(solution: Solution, moving: StateSpace) -> bool:
-    """Return whether modes grow that predictions found, and no input is seen to hold."""
+    """Return whether modes grow that predictions found, and no input could hold."""
     growth = float(np.max(moving.poles.real, initial=0.0))
     return solution.by_prediction and growth * solution.samples.length > GROWS and not holds(
         [p.record for p in solution.part.parts], growth, bool(moving.D.any()))

@@ -39,7 +39,7 @@ class Evidence:
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     within: float = float('inf')    # time the response is asked for [s]: as they go
     unproven: bool = False          # modes grow of which the data do not show that they do
-    unheld: bool = False            # modes grow that no input is seen to hold
+    unheld: bool = False            # modes grow that no input could hold
     fastest: bool = False           # a pole is about as fast as any that is looked for
     drift: Drift = Drift()
     drifting: str = ''              # which of several records drifts

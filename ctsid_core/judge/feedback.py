@@ -8,8 +8,8 @@ tells of how an input changes, if it tells more of that than the input's own pas
 near 0 then. Of a right model it is one over the sensitivity of the loop, which a controller that
 is any good keeps well away from 0.
 
-A plant that grows is held by a controller, or would not be there to be recorded. Where none is
-seen a mode that grows is that of a filter: what is filtered forward and backward in time
+A plant that grows is held by a controller, or would not be there to be recorded. Where none can
+be a mode that grows is that of a filter: what is filtered forward and backward in time
 (`filtfilt`, a centred mean) answers before it is asked, and a stable mode that runs backward is,
 forward, one that grows.
 
@@ -38,6 +38,7 @@ _TOLERANCE = 1e-10    # of regressors that depend on each other
 _SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
+_NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
 _RESTS = 0.5          # times e that a mode grows while the input that holds it rests
 
 
@@ -63,23 +64,46 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
 
 def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
     """
-    Return whether any input is seen that could hold a mode which grows as exp(growth t) [rad/s].
+    Return whether any input could hold a mode which grows as exp(growth t) [rad/s].
 
-    The outputs' past tells how it changes, and it does not rest while that mode grows. `at_once`:
-    outputs follow inputs at once.
+    One that is computed from the outputs has what is new in them, and does not rest while they
+    move and that mode grows. `at_once`: outputs follow inputs at once.
     """
-    return any(answer is not None and growth * rest < _RESTS
+    return any(follows and growth * rest < _RESTS
                for record in records for signal in record.inputs
-               for answer, rest in zip(_answers(signal, record, at_once),
-                                       _rests(signal, record), strict=True))
+               for follows, rest in zip(_has_news(signal, record, at_once),
+                                        _rests(signal, record), strict=True))
+
+
+def _has_news(signal: Signal, record: Record, at_once: bool) -> list[bool]:
+    """Return whether what a channel's past does not tell of it is of the size of the outputs'."""
+    outputs, changes, past = _before(signal, record, at_once)
+    if not past:
+        return [True] * signal.width
+
+    def news(own: Array) -> float:
+        _, left = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
+        return float(left[0]) / max(float(np.mean(own ** 2)), 1e-300)
+    least = _NEWS * min(map(news, np.diff(outputs, axis=0).T))
+    return [news(own) >= least for own in changes]
 
 
 def _rests(signal: Signal, record: Record) -> list[float]:
-    """Return for how long each channel keeps exactly the same value, at most [s]."""
+    """Return for how long each channel keeps one value while all outputs move, at most [s]."""
     rows = signal.rows(record.start, record.end)
     times, values = signal.time[rows], signal.values[rows]
-    return [float(np.max(np.diff(times[np.append(True, np.diff(own) != 0.0)], append=record.end)))
-            for own in values.T]
+    if not len(times):
+        return [np.inf] * signal.width
+    moves = np.sort(np.concatenate([s.time[1:][(np.diff(s.values, axis=0) != 0.0).all(axis=1)]
+                                    for s in record.outputs]))
+    found = []
+    for own in values.T:
+        starts = times[np.append(True, np.diff(own) != 0.0)]
+        ends = np.append(starts[1:], record.end)
+        first, last = (np.searchsorted(moves, t) for t in (starts, ends))
+        inside = last > first
+        found.append(float(np.max(np.where(inside, moves[np.maximum(last - 1, 0)] - starts, 0.0))))
+    return found
 
 
 def _distance(answer: Array, step: float, model: StateSpace, j: int, excited: Excitation) -> float:
@@ -102,17 +126,9 @@ def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None
 
     Strictly before it if outputs follow the inputs `at_once`.
     """
-    rows = signal.rows(record.start, record.end)
-    times, values = signal.time[rows][-_MOST:], signal.values[rows][-_MOST:]
-    # What an input is computed from has the same stamp or an earlier one.
-    side: Literal['left', 'right'] = 'left' if at_once else 'right'
-    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
-            for s in record.outputs]
-    outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
-    past = min(_PAST, len(times) // (_EACH * outputs.shape[1]))
+    outputs, changes, past = _before(signal, record, at_once)
     if not past:
         return [None] * signal.width
-    changes = np.diff(values, axis=0).T
     weights, left = _told(outputs[1:], changes, past)
     found: list[Array | None] = []
     for own, power, w in zip(changes, left, weights, strict=True):
@@ -120,6 +136,19 @@ def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None
         tells = power < rest[0] and rest[0] > _SMOOTH * np.mean(own ** 2)
         found.append(w.reshape(past, -1) if tells else None)
     return found
+
+
+def _before(signal: Signal, record: Record, at_once: bool) -> tuple[Array, Array, int]:
+    """Return outputs before the samples of an input, its changes, and how far to look back."""
+    rows = signal.rows(record.start, record.end)
+    times, values = signal.time[rows][-_MOST:], signal.values[rows][-_MOST:]
+    # What an input is computed from has the same stamp or an earlier one.
+    side: Literal['left', 'right'] = 'left' if at_once else 'right'
+    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
+            for s in record.outputs]
+    outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
+    return outputs, np.diff(values, axis=0).T, min(
+        _PAST, len(times) // (_EACH * outputs.shape[1]))
 
 
 def _told(regressors: Array, targets: Array, past: int) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ from ctsid_core.model.verdict import (
     Verdict,
 )
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
-from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN
+from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN, OTHER_HOLD
 from ctsid_core.settings import Settings
 from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.instants import after_start
@@ -206,10 +206,10 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             'model that is not explains the data as well; set `method: hd-pbsid`.')
     if e.unheld:
         yield Remedy.SIGNALS, (
-            f'A mode grows as exp({np.max(e.poles.real):.2g} t), and no input is seen to be '
-            'computed from the outputs, which nothing else could keep within bounds: they may '
-            'have been filtered forward and backward in time (filtfilt, a centred mean), or what '
-            'holds the plant is not among the inputs; take what the sensor sent.')
+            f'A mode grows as exp({np.max(e.poles.real):.2g} t), and no input could hold it, for '
+            'none is computed from the outputs: these may have been filtered forward and backward '
+            'in time (filtfilt, a centred mean), or what holds the plant is not among the inputs; '
+            'take what the sensor sent.')
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
@@ -262,14 +262,14 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
+    if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]):
+        yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'
     unseen = e.numbers.held_out_error
     for i in _largest_first(unseen / allowed(e.learnt), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
             f'{_percent(e.learnt[i])}; take a longer window.')
-    if e.doubt and e.doubt[1] == ANY_DELAY:
-        yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{ANY_DELAY}`.'
     if e.spent:
         yield Remedy.SETTING, f'Not all is tested: {e.spent}.'
     # Last: new data lift this, and must not lift anything beside it (`in_sequence`).

@@ -24,6 +24,7 @@ Doubt = tuple[str, str]
 # Those of an order that is given and too small or too large, and of dead times that are given and
 # not these: what they leave is explained by curves, or by signals that are missing, too
 ANY_ORDER, ANY_DELAY = GIVEN = ('order: 0', 'delay: auto')
+OTHER_HOLD = '.hold: '  # after the name of an input, before what it should be
 
 
 GROWS = 1.0           # times e within the record: less does not tell a plant that grows

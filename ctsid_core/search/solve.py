@@ -41,6 +41,7 @@ from ctsid_core.search.by_prediction import (
 )
 from ctsid_core.search.corrupt import corrupt_rows, without_outliers
 from ctsid_core.search.drifting import free_with_time, mean_of
+from ctsid_core.search.held import other_hold
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import (
     ANY_DELAY,
@@ -48,6 +49,7 @@ from ctsid_core.search.solution import (
     DISTURBED,
     GROWS,
     NEARLY,
+    OTHER_HOLD,
     Doubt,
     Solution,
     at_fastest,
@@ -70,6 +72,7 @@ from ctsid_core.search.tried import (
     tried,
 )
 from ctsid_core.settings import Settings, longest_sought, slowest_sought
+from ctsid_core.signals.record import channel_slices
 from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
 _FASTEST = 0.95       # of the outputs' Nyquist frequency: the fastest pole
@@ -146,6 +149,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         part = cleaner
         samples = seen()
         best = climbed(samples, best, free)
+    otherwise = _otherwise(part, samples.thinned(SEARCHED, scattered=True), found, best, free)
     disturbed, grows, left = None, False, best.left
     wanted = _wanted(part, settings, samples, free) if left > UNEXPLAINED else None
     if wanted and predicted is not None and _growth(predicted, samples) <= GROWS:
@@ -161,7 +165,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     drifts = best.drifting is not None and best.unexplained < _FAILS
     if predicted is not None and not drifts and (solved := _likelier(
             part, settings, seen, samples, best, free, predicted)):
-        return solved
+        return replace(solved, doubt=otherwise or solved.doubt)
     reached = climbed(samples, best, free)
     best, free = without_needless(samples, reached, free, LEAST)
     if disturbed is not None and (solved := _disturbed(
@@ -185,7 +189,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
-                    doubt=_late(part, best, free) or wanted or needless
+                    doubt=_late(part, best, free) or otherwise or wanted or needless
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, rivals=_rivals(others), drifting=drifting,
                     singular_values=values, condition=condition)
@@ -511,6 +515,20 @@ def _predicted(part: Joint, settings: Settings, samples: Samples,
         samples, replace(free, delays=own.unknown_delays(samples.nu)), order=settings.order,
         max_order=settings.max_order, known_delay=np.array(own.delays(samples.nu)),
         last=_compared(part, part.last))
+
+
+def _otherwise(part: Joint, samples: Samples, found: dict[int, Tried], best: Tried,
+               free: Free) -> Doubt | None:
+    """Return that an input is not held as it is said to be, and what to set, if so."""
+    other = other_hold(samples, found, best, free)
+    if other is None:
+        return None
+    place, hold = other
+    inputs = samples.records[0].inputs
+    name = _names(part)[channel_slices(inputs)[place].start].partition('[')[0]
+    moves = 'is held between its samples' if hold == 'zoh' else 'moves between its samples'
+    return (f'input {name} seems as if it {moves}: that explains more, with no more states, than '
+            f'`hold: {inputs[place].hold}` does', f'{name}{OTHER_HOLD}{hold}')
 
 
 def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> Doubt | None:
