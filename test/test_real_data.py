@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+
 from marks import slow
 import numpy as np
 import pytest
@@ -242,3 +244,24 @@ def tried(log, pick, capsys):
     assert 'arithmetic' not in said
     if log.stem == 'sample_log_small':  # 6 s on the ground
         assert '  GOOD. ' not in said
+
+
+def test_what_try_doubts_is_in_its_results(data_folder, tmp_path, monkeypatch, capsys):
+    """Which signal is the input, and that stretches are not the whole: on the terminal only."""
+    monkeypatch.chdir(tmp_path)
+    arm = [str(data_folder / 'daisy/robot_arm.dat'), '--time', '100Hz']
+    assert main(['try', *arm, '--out', 'arm', '--quiet']) in (0, 3)
+    for name in ('report.md', 'model.json'):
+        text = ' '.join((tmp_path / 'arm' / name).read_text().split())
+        assert 'the data alone do not tell which signal is the input' in text
+    heating = [str(data_folder / 'daisy/heating_system.dat'), '--time', 'column_1:s']
+    assert main(['try', *heating, '--out', 'heat', '--quiet']) == 0
+    told = re.search(r'the model is of 850 s in which .* of all 1600 s .* it explains (\S+) %',
+                     ' '.join(capsys.readouterr().out.split()))
+    assert main(['simulate', 'heat/model.json', *heating, '--out', 'whole', '--quiet']) == 0
+    words = ' '.join(capsys.readouterr().out.split())
+    assert f'the model explains {told[1]} % of column_3 here' in words
+    assert 'the other parts of this recording move otherwise' in words
+    assert 'payload' not in words
+    page = (tmp_path / 'whole' / 'report.md').read_text()
+    assert page.count('The model explains') == 1

@@ -387,6 +387,27 @@ def test_spikes_in_new_data_do_not_speak_against_a_model():
     assert without_corrupt(second, SETTINGS) == (second, ())
 
 
+@pytest.mark.parametrize('acts', [False, True])
+def test_inputs_are_bridged_where_a_model_says_so(acts):
+    """A test of a model used spikes of inputs that identification had left out."""
+    rng, t = np.random.default_rng(0), 0.02 * np.arange(1500)
+    u = np.sin(np.outer(t, rng.uniform(0.5, 4.0, 8)) + rng.uniform(0.0, 6.0, 8)).sum(axis=1)
+    jabs = np.zeros(1500)
+    jabs[rng.choice(1400, 6) + 50] = 40.0
+    x = np.zeros(1500)
+    for k, now in enumerate((u + acts * jabs)[:-1]):
+        x[k + 1] = np.exp(-0.06) * x[k] - np.expm1(-0.06) * now
+    x += 0.01 * rng.standard_normal(1500)
+    record, clean = (Record.from_arrays(t, log, t, x, input_hold='smooth')
+                     for log in (u + jabs, u + acts * jabs))
+    found = identify(clean, SETTINGS.replace(feedthrough=False, order=1))
+    assert found.model.n == 1
+    seen, notes = without_corrupt(record, SETTINGS, found.model)
+    assert any('of input u1 are bridged' in note for note in notes) != acts
+    assert simulation(found.model, seen).fit[0] == pytest.approx(found.fit[0], abs=0.2)
+    assert acts or simulation(found.model, record).fit[0] < found.fit[0] - 5.0
+
+
 def test_an_order_of_the_last_good_model_is_no_change(steady):
     """Of 2, GOOD, 3, WEAK for its order, and 2 again the last one is as good as the first."""
     good = identify(steady[0], Settings(order=2))

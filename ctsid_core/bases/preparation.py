@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.simulation import input_polynomials
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import simulation
 from ctsid_core.settings import Settings
 from ctsid_core.signals.bursts import without_bursts
 from ctsid_core.signals.gaps import FEWEST, missing
@@ -189,15 +191,30 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     return found
 
 
-def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
+def without_corrupt(record: Record, settings: Settings, model: StateSpace | None = None
+                    ) -> tuple[Record, tuple[str, ...]]:
     """
     Return a record without corrupt samples of its outputs and repeated ones, and notes on them.
 
     For tests of a model on data: one spike of a sensor would else decide on the fit of a model
-    that is right. Identification finds them by itself.
+    that is right. Identification finds them by itself. With a `model` they are those that stand
+    out of what it leaves; and those of inputs are bridged where that leaves less.
     """
     record, told = as_measured(record)
-    found, outputs, notes = corrupt_outputs(record, settings), [], list(told)
+    found, notes = corrupt_outputs(record, settings), list(told)
+    if model is not None:
+        less = _without(record, found)[0]
+        likely, more = _with_likely_inputs(less, model)
+        record = replace(record, inputs=likely.inputs) if more else record
+        found = _unexplained(record, model)
+        notes += more
+    record, more = _without(record, found)
+    return record, (*notes, *more)
+
+
+def _without(record: Record, found: Mapping[int, Array]) -> tuple[Record, list[str]]:
+    """Return a record without samples of outputs at some times of each, and notes on them."""
+    outputs, notes = [], []
     for signal, place in zip(record.outputs, channel_slices(record.outputs), strict=True):
         times = [found[i] for i in range(place.start, place.stop) if i in found]
         bad = np.isin(signal.time, np.concatenate(times or [np.empty(0)]))
@@ -206,7 +223,49 @@ def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[s
         if bad.any():
             names = ', '.join(record.output_names[place])
             notes.append(f'{np.sum(bad)} corrupt samples of {names} are left out of the fits')
-    return (replace(record, outputs=tuple(outputs)) if notes else record), tuple(notes)
+    return (replace(record, outputs=tuple(outputs)) if notes else record), notes
+
+
+def _unexplained(record: Record, model: StateSpace) -> dict[int, Array]:
+    """Return the times of samples that stand out of what a model leaves, as spikes do."""
+    simulated, found = simulation(model, record, trim='refit'), {}
+    for i, error in enumerate((simulated.y - simulated.y_hat).T):
+        known = np.isfinite(error)
+        times = simulated.times[known]
+        spiky = spikes(times, error[known, np.newaxis], closely=True).mask[:, 0]
+        if spiky.any():
+            found[i] = times[spiky]
+    return found
+
+
+def _with_likely_inputs(record: Record, model: StateSpace) -> tuple[Record, list[str]]:
+    """Return a record with each input channel as it was measured, or bridged: as a model says."""
+    bridged, found = _despiked(list(record.inputs), ('smooth',), SURE_INPUT,
+                               (None,) * len(record.inputs), lambda: None)
+    notes: list[str] = []
+    if not any(own.any for own in found):
+        return record, notes
+
+    def left(record: Record) -> float:
+        return float(np.nansum(100.0 - simulation(model, record, trim='refit').fit))
+    best = replace(record, inputs=tuple(bridged))
+    error, raw = left(best), left(record)
+    # All are bridged at first, as in identification: two may be corrupt at the same time.
+    for k, (own, channels) in enumerate(zip(found, channel_slices(record.inputs), strict=True)):
+        for place, name in enumerate(record.input_names[channels]):
+            count = int(np.sum(own.mask[:, place]))
+            if not count:
+                continue
+            values = best.inputs[k].values.copy()
+            values[:, place] = record.inputs[k].values[:, place]
+            other = replace(best, inputs=(*best.inputs[:k], replace(
+                best.inputs[k], values=values), *best.inputs[k + 1:]))
+            if (now := left(other)) < error:
+                best, error = other, now
+            else:
+                notes.append(f'{count} corrupt samples of input {name} are bridged from those '
+                             'beside them: the model explains more without')
+    return (best, notes) if error < raw else (record, [])
 
 
 def _held_at(record: Record, signals: list[Signal],

@@ -29,7 +29,8 @@ def as_judged(estimate: Estimate, model: StateSpace, record: Record, *,
     return prediction(model, record, HORIZONS[AHEAD])
 
 
-def failure(estimate: Estimate, found: Validation, record: Record) -> str:
+def failure(estimate: Estimate, found: Validation, record: Record, *, partly: bool = False
+            ) -> str:
     """
     Return which outputs a model explains as badly as a part held out must not be, or nothing.
 
@@ -41,6 +42,8 @@ def failure(estimate: Estimate, found: Validation, record: Record) -> str:
         What it makes of data that it has not seen, see `as_judged`.
     record : Record
         Of whose motion the errors are parts: of all that is known of the plant's.
+    partly : bool
+        Whether parts of it are what the model was identified from.
     """
     motion = np.concatenate([s.values.std(axis=0) for s in record.outputs])
     told = []
@@ -53,6 +56,8 @@ def failure(estimate: Estimate, found: Validation, record: Record) -> str:
         if not (np.isnan(found.fit[i]) or coloured <= (limit * motion[i]) ** 2):
             here, own = (np.round(fit[i], 1) + 0.0 for fit in (found.fit, estimate.fit))  # no -0.0
             told.append(f'{here} % of {record.output_names[i]} here, {own} % of its own data')
-    return '' if not told else (
-        f'the model explains {"; ".join(told)}: the plant is not the same (payload, battery, '
-        'gains), or it moves otherwise than there (farther, faster, in gusts)')
+    return '' if not told else (f'the model explains {"; ".join(told)}: ' + (
+        'the other parts of this recording move otherwise (farther, slower, in gusts), or the '
+        'plant changed within it' if partly else
+        'the plant is not the same (payload, battery, gains), or it moves otherwise than there '
+        '(farther, faster, in gusts)'))

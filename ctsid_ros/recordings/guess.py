@@ -74,6 +74,8 @@ class Guess:
         Where the input excites the plant; empty if it does so all the time.
     free : bool
         Whether something was chosen from the pairs; else all of them were named.
+    doubt : str
+        Why inputs may be outputs, if the data do not tell: for the report, too.
     """
 
     config: Config
@@ -83,6 +85,7 @@ class Guess:
     others: tuple[tuple[str, str, float], ...]
     stretches: tuple[Stretch, ...]
     free: bool = True
+    doubt: str = ''
 
     @property
     def pair(self) -> Pair:
@@ -239,7 +242,7 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
                    if c not in inputs and c not in outputs)
     return Guess(config, pairs, pick, tuple(reasons), others,
                  together([excited(u.held, ranking.clock, period) for u in inputs]),
-                 free=not (named.inputs and named.outputs))
+                 free=not (named.inputs and named.outputs), doubt=reasons[0] if by_names else '')
 
 
 def _why(pair: Pair) -> str:

@@ -190,8 +190,8 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     with open_bag(bags, getattr(args, 'time', ())) as bag:  # `show` has none
         config = config if args.params else of_this_bag(bag, config, path)
         data, offset, notes = _read(bag, config, args)
-    record, spikes = without_corrupt(data.record, config.settings)
     models = [_model(c.estimate) for c in compared.found]
+    record, spikes = without_corrupt(data.record, config.settings, models[0])
     for model in models:
         check_dead_times(model, record)
     # All on the same samples.

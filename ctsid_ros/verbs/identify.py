@@ -202,6 +202,7 @@ def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, print."""
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.grouping import recordings
+    from ctsid_ros.recordings.playback import Interval
     from ctsid_ros.report.headline import Better, headline
 
     truth = read_truth(args)
@@ -219,6 +220,11 @@ def command(args: argparse.Namespace) -> int:
                        for group in groups for interval in intervals]
         with working(_task(sources), quiet=args.quiet):
             outcome = _identify(tuple(sources), args.test_from)
+        outcome = _noted(outcome, getattr(args, 'doubts', ()))
+        if getattr(args, 'whole', False) and outcome.estimate.ok:
+            with progress('reading all of it', quiet=args.quiet) as advance:
+                outcome = _noted(outcome, _on_all(outcome, _read(
+                    groups[0], args.time, config, Interval(), None, advance)))
         with working('writing the report', quiet=args.quiet):
             better = Better() if outcome.estimate.ok else better_pairs(
                 groups[0], args.time, outcome.config)
@@ -299,7 +305,7 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     for number, source in enumerate(sources, 1):
         tested = source.tested
         if model is not None and tested is not None:
-            whole, tested = (without_corrupt(record, estimate.settings)[0]
+            whole, tested = (without_corrupt(record, estimate.settings, model)[0]
                              for record in (source.data.record, tested))
             own = estimate.trimmed(model, number)
             found = as_judged(estimate, own, tested, trim='refit')
@@ -309,6 +315,28 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
         which = f'of record {sources.index(failed.source) + 1} ' if len(sources) > 1 else ''
         estimate = retested(estimate, f'on data {which}that it has not seen {failed.failed}')
     return Outcome(sources, estimate, tuple(tests))
+
+
+def _noted(outcome: Outcome, notes: tuple[str, ...]) -> Outcome:
+    """Return an outcome whose estimate has further notes, before its own."""
+    estimate = outcome.estimate
+    return replace(outcome, estimate=replace(estimate, notes=(*notes, *estimate.notes)))
+
+
+def _on_all(outcome: Outcome, source: Source) -> tuple[str, ...]:
+    """Return how much a model that is of parts of a recording explains of all of it, in words."""
+    from ctsid_core.bases.preparation import without_corrupt
+    from ctsid_core.judge.unseen import as_judged
+    from ctsid_ros.report.tables import fit_words
+
+    estimate = outcome.estimate
+    assert estimate.model is not None
+    whole, _ = without_corrupt(source.data.record, estimate.settings, estimate.model)
+    found = as_judged(estimate, estimate.model, whole, trim='refit')
+    own = sum(s.data.record.duration for s in outcome.sources)
+    return (f'the model is of {own:.0f} s in which the inputs excite the plant; of all '
+            f'{whole.duration:.0f} s of the recording, with offsets fitted to them, it explains '
+            f'{fit_words(found.fit)} %',)
 
 
 def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = True
@@ -434,7 +462,8 @@ def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
     """
     from ctsid_core.bases.preparation import without_corrupt
 
-    return [(i, without_corrupt(s.tested or s.data.record, outcome.config.settings)[0])
+    return [(i, without_corrupt(s.tested or s.data.record, outcome.config.settings,
+                                outcome.model)[0])
             for i, s in enumerate(outcome.sources[:_MOST_DRAWN], 1)]
 
 

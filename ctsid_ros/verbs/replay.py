@@ -198,7 +198,8 @@ class _Report:
                     estimate, settings))]
 
     def _which(self) -> str:
-        return 'the best on unseen data' if self.best.tested else \
+        return 'of those about best on unseen data the one of fewest states' \
+            if self.best.tested else \
             'the best on its own held-out data' if self.best.estimate.ok else 'the last one'
 
     def _best_section(self, *, verdict: bool) -> Section:

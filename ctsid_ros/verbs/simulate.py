@@ -36,6 +36,7 @@ from ctsid_ros.verbs.arguments import (
 
 _GROWS = 3.0          # times e within a record: no simulation tells more
 _DATED = 10 ** 17     # ns: of a clock that is set, and did not begin with 0
+_WHOLE = 0.95  # of a recording: a model of so much of it is a model of it
 
 if TYPE_CHECKING:
     from ctsid_core.linear.types import Array
@@ -101,14 +102,16 @@ def command(args: argparse.Namespace) -> int:
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
         check_dead_times(model, data.record)
-        record, spikes = without_corrupt(data.record, config.settings)
+        record, spikes = without_corrupt(data.record, config.settings, model)
         outcome = _compare(model, replace(data, record=record), args, bag)
         rests = record.nu > 0 and not moving(record, config.settings)[0]
+        shared = _shared(estimate, record, args.bag, origin)
         failed = '' if rests else failure(
             estimate, as_judged(estimate, outcome.model, record)
-            if estimate.by_predictions else outcome.simulated, record)
+            if estimate.by_predictions else outcome.simulated, record,
+            partly=0.0 < shared < _WHOLE * record.duration)
         estimate = retested(estimate, failed)
-        notes = (*_own_data(estimate, record, args.bag, origin),
+        notes = (*_own_data(shared, record),
                  *_unsimulated(outcome.simulated), *rests * (
             'no input moves in this recording, which tells nothing of the model: choose another, '
             'or a part in which they move',),
@@ -156,12 +159,12 @@ def check_dead_times(model: StateSpace, record: Record) -> None:
                            f'{record.duration:.3g} s of data; choose a longer recording or part')
 
 
-def _own_data(estimate: Estimate, record: Record, bags: Sequence[str],
-              origin: Mapping[str, object]) -> tuple[str, ...]:
+def _shared(estimate: Estimate, record: Record, bags: Sequence[str],
+            origin: Mapping[str, object]) -> float:
     """
-    Return that a model was identified from these data, if their times say so.
+    Return how much of these data a model was identified from, as their times say [s].
 
-    Of a clock that began with 0 they do only in the file that it was identified from.
+    Of a clock that began with 0 they say so only in the file that it was identified from.
     """
     from ctsid_ros.replay.results import bag_hash
 
@@ -175,12 +178,15 @@ def _own_data(estimate: Estimate, record: Record, bags: Sequence[str],
         records = origin.get('records')
         known = [one.get('sha256') for one in records] if isinstance(records, list) else []
         both = {k: ns for k, ns in both.items() if own and own in known[k - 1:k]}
-    if not both:
-        return ()
-    shared = sum(both.values()) * 1e-9
-    return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the '
-            'model was identified from: its fit there is no test; give a recording that it has '
-            'not seen',)
+    return sum(both.values()) * 1e-9
+
+
+def _own_data(shared: float, record: Record) -> tuple[str, ...]:
+    """Return that a model was identified from so much of these data [s], if from any."""
+    return () if not shared else (
+        f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the '
+        'model was identified from: its fit there is no test; give a recording that it has '
+        'not seen',)
 
 
 def _unsimulated(simulated: Validation) -> tuple[str, ...]:
@@ -258,9 +264,11 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
     model, record, found = outcome.model, outcome.data.record, outcome.simulated
     run = run_of(args)
     offset = outcome.first - record.start
-    words = (f'The model explains {fit_words(found.fit)} % of {", ".join(model.output_names)} '
-             'here, simulated from the inputs alone; its own data, '
-             f'{fit_words(estimate.fit)} %. {estimate.verdict.reason}')
+    explains = (f'The model explains {fit_words(found.fit)} % of {", ".join(model.output_names)} '
+                'here, simulated from the inputs alone; its own data, '
+                f'{fit_words(estimate.fit)} %. ')
+    words = explains * (not estimate.verdict.reason.startswith('The model explains')) \
+        + estimate.verdict.reason
     first = Headline(estimate.verdict.grade.name, words, run.command('identify'),
                      (('simulation fit [%]', fit_words(found.fit)),
                       ('VAF [%]', fit_words(found.vaf))),

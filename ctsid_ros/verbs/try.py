@@ -82,7 +82,7 @@ def command(args: argparse.Namespace) -> int:
             write_file(params, (head(guessed, line) + dump_brief(config)).encode(), force=True)
 
         write(guessed.config)
-        code = _identify(line, args, out)
+        code = _identify(line, args, out, guessed)
         if code == ACCEPTED:
             write(_spanning(guessed.config, load_estimate(out / MODEL), found.duration))
     if not args.json and code != ACCEPTED:
@@ -90,7 +90,7 @@ def command(args: argparse.Namespace) -> int:
     return code
 
 
-def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
+def _identify(line: str, args: argparse.Namespace, out: Path, guessed: Guess) -> int:
     """Run the command that `ctsid init` would have named."""
     from ctsid_ros.verbs import identify
 
@@ -100,6 +100,8 @@ def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
     words += ['--budget', str(args.budget)] if args.budget is not None else []
     own = parser.parse_args([*words, *('--json',) * args.json, *('--quiet',) * args.quiet])
     own.command_line = shlex.join(('ctsid', 'identify', *words))
+    own.doubts = (guessed.doubt,) if guessed.doubt else ()
+    own.whole = bool(guessed.stretches)
     return identify.command(own)
 
 
