@@ -133,6 +133,32 @@ def test_oscillations_that_last_know_a_set_point_ahead():
     assert not found.good
 
 
+@pytest.mark.parametrize(('kind', 'period'), [('gains', 0.05), ('gains', 0.3), ('steps', 0.05),
+                                              ('relay', 0.1), ('late', 0.05)])
+def test_a_slow_or_coarse_controller_holds_a_plant_that_grows(kind, period):
+    """Poles of +2 and -3: one long rest in a record says nothing."""
+    rng, h = np.random.default_rng(0), 0.01
+    step = expm(h * np.array([[2.0, 0.0, 1.0], [1.0, -3.0, 0.0], [0.0, 0.0, 0.0]]))
+    x, now, u, y = np.zeros(2), 0.0, np.empty(2000), np.empty(2000)
+    wanted = np.repeat(rng.standard_normal(40), 50)
+    wanted[:200] *= kind != 'late'
+    for k in range(2000):
+        y[k] = x[1] + 0.002 * rng.standard_normal()
+        if k % round(period / h) == 0:
+            now = wanted[k] - 4.0 * x[0] - 1.0 * x[1]
+            now = np.round(now / 0.25) * 0.25 if kind == 'steps' else \
+                3.0 * np.sign(now) if kind == 'relay' else now
+        if kind == 'late' and k < 200:
+            now, x = 0.0, 0.0 * x
+        u[k] = now
+        x = (step @ np.append(x, now))[:2]
+    t = h * np.arange(2000)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings(feedthrough=False))
+    print(found.model.poles, found.verdict.reason)
+    assert np.max(found.model.poles.real) == pytest.approx(2.0, abs=0.1)
+    assert found.good
+
+
 @pytest.mark.parametrize(('kind', 'corner'), [('levels', 0.8), ('levels', 1.0), ('sines', 1.0)])
 def test_what_is_filtered_backward_in_time_does_not_grow(kind, corner):
     """A stable pair of 5 rad/s; models were GOOD with poles of the filter, of +4.4 +- 4.4j."""

@@ -121,6 +121,14 @@ def test_clumps_of_arrival_are_no_parts(period):
         assert identify(late, Settings(feedthrough=False)).verdict.reason
 
 
+def test_short_experiments_of_a_long_recording_are_parts():
+    t_u, u, t_y, y = moved(1)
+    every = 1800.0 * np.arange(12)[:, np.newaxis]
+    record = recorded((t_u + 1.0 + every).ravel(), np.tile(u, (12, 1)),
+                      (t_y + 1.0 + every).ravel(), np.tile(y, (12, 1)))
+    assert len(between_pauses(record)) == 12
+
+
 def clumped(time, period):
     clumps = np.ceil(time / period) * period
     return np.maximum.accumulate(clumps) + 1e-5 * np.arange(len(time))

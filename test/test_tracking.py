@@ -408,6 +408,23 @@ def test_inputs_are_bridged_where_a_model_says_so(acts):
     assert acts or simulation(found.model, record).fit[0] < found.fit[0] - 5.0
 
 
+def test_of_several_models_all_have_to_say_so():
+    """The wrong one, named first, had jabs of the input that act called corrupt."""
+    rng, t = np.random.default_rng(0), 0.02 * np.arange(1500)
+    u, x = np.sin(np.outer(t, rng.uniform(0.5, 4.0, 8))).sum(axis=1), np.zeros(1500)
+    u[rng.choice(1400, 6) + 50] += 40.0
+    for k, now in enumerate(u[:-1]):
+        x[k + 1] = np.exp(-0.06) * x[k] - np.expm1(-0.06) * now
+    record = Record.from_arrays(t, u, t, x + 0.01 * rng.standard_normal(1500),
+                                input_hold='smooth')
+    right, wrong = (StateSpace(*np.array([[[-p]], [[p]], [[1.0]], [[0.0]]])) for p in (3.0, 30.0))
+    one, other = (without_corrupt(record, SETTINGS, *models)[0] for models in (
+        (right, wrong), (wrong, right)))
+    assert [s.values.tolist() for s in (*one.inputs, *one.outputs)] == [
+        s.values.tolist() for s in (*other.inputs, *other.outputs)]
+    np.testing.assert_array_equal(one.inputs[0].values, record.inputs[0].values)
+
+
 def test_an_order_of_the_last_good_model_is_no_change(steady):
     """Of 2, GOOD, 3, WEAK for its order, and 2 again the last one is as good as the first."""
     good = identify(steady[0], Settings(order=2))

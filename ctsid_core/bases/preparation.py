@@ -191,22 +191,24 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     return found
 
 
-def without_corrupt(record: Record, settings: Settings, model: StateSpace | None = None
+def without_corrupt(record: Record, settings: Settings, *models: StateSpace
                     ) -> tuple[Record, tuple[str, ...]]:
     """
     Return a record without corrupt samples of its outputs and repeated ones, and notes on them.
 
     For tests of a model on data: one spike of a sensor would else decide on the fit of a model
-    that is right. Identification finds them by itself. With a `model` they are those that stand
-    out of what it leaves; and those of inputs are bridged where that leaves less.
+    that is right. Identification finds them by itself. With `models` they are those that stand
+    out of what each of these leaves; those of inputs are bridged where that leaves less of each.
     """
     record, told = as_measured(record)
     found, notes = corrupt_outputs(record, settings), list(told)
-    if model is not None:
-        less = _without(record, found)[0]
-        likely, more = _with_likely_inputs(less, model)
+    if models:
+        likely, more = _with_likely_inputs(_without(record, found)[0], models)
         record = replace(record, inputs=likely.inputs) if more else record
-        found = _unexplained(record, model)
+        found, *others = (_unexplained(record, model) for model in models)
+        for other in others:
+            found = {i: np.intersect1d(times, other[i]) for i, times in found.items()
+                     if i in other}
         notes += more
     record, more = _without(record, found)
     return record, (*notes, *more)
@@ -238,16 +240,18 @@ def _unexplained(record: Record, model: StateSpace) -> dict[int, Array]:
     return found
 
 
-def _with_likely_inputs(record: Record, model: StateSpace) -> tuple[Record, list[str]]:
-    """Return a record with each input channel as it was measured, or bridged: as a model says."""
+def _with_likely_inputs(record: Record, models: Sequence[StateSpace]
+                        ) -> tuple[Record, list[str]]:
+    """Return a record with each input channel as it was measured, or bridged: as models say."""
     bridged, found = _despiked(list(record.inputs), ('smooth',), SURE_INPUT,
                                (None,) * len(record.inputs), lambda: None)
     notes: list[str] = []
     if not any(own.any for own in found):
         return record, notes
 
-    def left(record: Record) -> float:
-        return float(np.nansum(100.0 - simulation(model, record, trim='refit').fit))
+    def left(record: Record) -> Array:
+        return np.array([np.nansum(100.0 - simulation(model, record, trim='refit').fit)
+                         for model in models])
     best = replace(record, inputs=tuple(bridged))
     error, raw = left(best), left(record)
     # All are bridged at first, as in identification: two may be corrupt at the same time.
@@ -260,12 +264,12 @@ def _with_likely_inputs(record: Record, model: StateSpace) -> tuple[Record, list
             values[:, place] = record.inputs[k].values[:, place]
             other = replace(best, inputs=(*best.inputs[:k], replace(
                 best.inputs[k], values=values), *best.inputs[k + 1:]))
-            if (now := left(other)) < error:
+            if np.any((now := left(other)) < error):
                 best, error = other, now
             else:
                 notes.append(f'{count} corrupt samples of input {name} are bridged from those '
                              'beside them: the model explains more without')
-    return (best, notes) if error < raw else (record, [])
+    return (best, notes) if np.all(error < raw) else (record, [])
 
 
 def _held_at(record: Record, signals: list[Signal],

@@ -39,7 +39,7 @@ _SMOOTH = 1e-10       # power of changes that its own past does not tell: less, 
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
 _NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
-_RESTS = 0.5          # times e that a mode grows while the input that holds it rests
+_RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
 def distance_to_controller(records: Sequence[Record], model: StateSpace,
@@ -66,8 +66,8 @@ def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
     """
     Return whether any input could hold a mode which grows as exp(growth t) [rad/s].
 
-    One that is computed from the outputs has what is new in them, and does not rest while they
-    move and that mode grows. `at_once`: outputs follow inputs at once.
+    One that is computed from the outputs has what is new in them, and does not as a rule rest for
+    long while they move and that mode grows. `at_once`: outputs follow inputs at once.
     """
     return any(follows and growth * rest < _RESTS
                for record in records for signal in record.inputs
@@ -89,7 +89,7 @@ def _has_news(signal: Signal, record: Record, at_once: bool) -> list[bool]:
 
 
 def _rests(signal: Signal, record: Record) -> list[float]:
-    """Return for how long each channel keeps one value while all outputs move, at most [s]."""
+    """Return for how long each channel rests while outputs move: longer half of the time [s]."""
     rows = signal.rows(record.start, record.end)
     times, values = signal.time[rows], signal.values[rows]
     if not len(times):
@@ -101,8 +101,9 @@ def _rests(signal: Signal, record: Record) -> list[float]:
         starts = times[np.append(True, np.diff(own) != 0.0)]
         ends = np.append(starts[1:], record.end)
         first, last = (np.searchsorted(moves, t) for t in (starts, ends))
-        inside = last > first
-        found.append(float(np.max(np.where(inside, moves[np.maximum(last - 1, 0)] - starts, 0.0))))
+        rests = np.sort(np.where(last > first, ends - starts, 0.0))
+        half = np.searchsorted(np.cumsum(rests), 0.5 * np.sum(rests))
+        found.append(float(rests[half]))
     return found
 
 
@@ -146,6 +147,8 @@ def _before(signal: Signal, record: Record, at_once: bool) -> tuple[Array, Array
     side: Literal['left', 'right'] = 'left' if at_once else 'right'
     last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
             for s in record.outputs]
+    if not all(len(s.time) for s in record.outputs):
+        return np.empty((len(times), 0)), np.diff(values, axis=0).T, 0
     outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
     return outputs, np.diff(values, axis=0).T, min(
         _PAST, len(times) // (_EACH * outputs.shape[1]))

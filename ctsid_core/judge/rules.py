@@ -206,10 +206,10 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             'model that is not explains the data as well; set `method: hd-pbsid`.')
     if e.unheld:
         yield Remedy.SIGNALS, (
-            f'A mode grows as exp({np.max(e.poles.real):.2g} t), and no input could hold it, for '
-            'none is computed from the outputs: these may have been filtered forward and backward '
-            'in time (filtfilt, a centred mean), or what holds the plant is not among the inputs; '
-            'take what the sensor sent.')
+            f'A mode grows as exp({np.max(e.poles.real):.2g} t), and no input is seen to hold it: '
+            'inputs rest for too long, or are not computed from the outputs; these may have been '
+            'filtered forward and backward in time (filtfilt, a centred mean), or what holds the '
+            'plant is not among the inputs; take what the sensor sent.')
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '

@@ -36,6 +36,7 @@ from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tri
 from ctsid_core.signals.record import Signal
 
 _LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
+_INSTANTS = 200       # at which that is asked
 _LIKE = 0.8           # of a straight line in time, that inputs explain: it is theirs then
 _APART = 2.0          # times the power of the errors of one model, that those of the mean may have
 
@@ -103,16 +104,19 @@ def _with_time(samples: Samples) -> Samples:
         more = [replace(s, values=s.values * ((s.time - middle) / length)[:, np.newaxis])
                 for s in r.inputs]
         # Time by itself is no further input where one is much like it already.
-        line = np.array([[-0.5], [0.5]]) * (max(map(_like_time, r.inputs)) < _LIKE)
+        line = np.array([[-0.5], [0.5]]) * (max(
+            _like_time(s, start, end) for s in r.inputs) < _LIKE)
         more.append(Signal(start + np.array([0.0, length]), line, 'linear'))
         records.append(replace(r, inputs=(*r.inputs, *more),
                                drives=(*r.drives, *map(Drive.of, more))))
     return replace(samples, records=tuple(records), nu=2 * samples.nu + 1)
 
 
-def _like_time(signal: Signal) -> float:
+def _like_time(signal: Signal, start: float, end: float) -> float:
     """Return how much of a straight line in time the channels of a signal explain, 0 to 1."""
-    time = signal.time - np.mean(signal.time)
-    left = time - both @ np.linalg.lstsq(both, time)[0] if (
-        both := signal.values - np.mean(signal.values, axis=0)).any() else time
+    time = np.linspace(start, end, _INSTANTS)
+    at = np.maximum(np.searchsorted(signal.time, time, side='right') - 1, 0)
+    values = np.column_stack((signal.values[at], np.ones(len(time))))
+    time -= time.mean()
+    left = time - values @ np.linalg.lstsq(values, time)[0]
     return 1.0 - float(left @ left) / max(float(time @ time), 1e-300)

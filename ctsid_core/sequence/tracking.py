@@ -214,8 +214,7 @@ def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
     if past.model is None or past.end_ns >= end_ns:
         return none
     try:
-        found = simulation(past.model, without_corrupt(
-            record, settings, past.model)[0])
+        found = simulation(past.model, without_corrupt(record, settings)[0])
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP

@@ -24,7 +24,8 @@ GAP_PERIODS = 5.0       # longer intervals, in usual ones, are gaps: not splined
 _USUAL = 0.9            # of the intervals of a signal are no longer than the usual one: pauses
                         # between bursts, and intervals at random, are part of the sampling
 _LONG = 0.01            # of a record: shorter pauses are bridged, for each costs states and
-                        # offsets anew, and shorter parts are none: they would tell only these
+                        # offsets anew, and a shorter part is none if it has few samples
+_MANY = 5               # times as many as any part has: a short experiment in a long recording
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -51,7 +52,7 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
         first = max(first, following)
     counts = [[len(s.time[s.rows(part.start, part.end)]) for s in part.outputs]
               for part in parts]
-    kept = [max(own) >= FEWEST and part.duration > _LONG * record.duration
+    kept = [max(own) >= (FEWEST if part.duration > _LONG * record.duration else _MANY * FEWEST)
             for own, part in zip(counts, parts, strict=True)]
     if sum(map(sum, compress(counts, kept))) > 0.5 * sum(map(sum, counts)):
         return tuple(compress(parts, kept))

@@ -16,6 +16,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.gaps import FEWEST
@@ -55,7 +56,7 @@ def _new(values: Array) -> Mask:
     starts = np.flatnonzero(new)
     lengths = np.diff(starts)       # the last one may have been cut
     usual = int(np.median(lengths)) if len(lengths) >= FEWEST else 1
-    if usual > 1 and np.mean(np.abs(lengths - usual) <= 1) >= _REGULAR and (
+    if usual > 1 and _regular(lengths, usual) >= _REGULAR and (
             is_noise(values[new]) or _distinct(values[new])) and \
             len(np.unique(values[new])) >= FEWEST:
         # Where it stands still for longer it was read as often.
@@ -64,6 +65,13 @@ def _new(values: Array) -> Mask:
         new |= (since % usual == 0) & np.repeat(lengths > usual + 1, lengths)
         return new
     return np.ones(len(values), dtype=bool)
+
+
+def _regular(lengths: NDArray[np.intp], usual: int) -> float:
+    """Return the share of values that come as often as usual, or once more or less."""
+    near = [np.mean(np.abs(lengths - usual - half) < 1.0) for half in (-0.5, 0.5)]
+    # One, two or three times in a row is anything: two neighbours of these.
+    return float(max(near) if usual == 2 else np.mean(np.abs(lengths - usual) <= 1))
 
 
 def _distinct(values: Array) -> bool:

@@ -34,6 +34,7 @@ _WORDS = {**dict.fromkeys(('h', 'hr', 'hrs', 'hour', 'hours'), 'h'),
 _NAME = re.compile(
     r'_*(t|times?|time_?stamps?|timestamps?|stamps?|secs?|seconds|date|datetime)([^a-z].*)?'
     r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec|min|h))?|time(us|ms|ns)')
+_CLOCKS = ('utc', 'gps', 'tai', 'local', 'unix', 'epoch', 'boot')    # no units
 _RATE = re.compile(r'(\d+\.?\d*|\.\d+)\s*Hz', re.IGNORECASE)
 _SECONDS = re.compile(r'(?<![a-z])(secs?|seconds)$', re.IGNORECASE)
 _NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNORECASE)
@@ -257,10 +258,10 @@ def _guess(column: Column) -> tuple[str, str]:
         return dated[0], ''
     slowest = {unit: _SLOWEST * UNITS['s'] / ns for unit, ns in _GUESSED.items()}
     unit = next((unit for unit in _GUESSED if step < slowest[unit]), 'ns')
-    if unit == 's' and step < _SURE and not column.unit:
+    strange = column.unit and column.unit.lower() not in _CLOCKS
+    if unit == 's' and step < _SURE and not strange:
         return unit, ''
-    named = f'have the unit {column.unit!r}, which is not known,' if column.unit \
-        else 'name no unit'
+    named = f'have the unit {column.unit!r}, which is not known,' if strange else 'name no unit'
     length = float(np.ptp(values)) * UNITS[unit] / UNITS['s'] if len(values) else 0.0
     return unit, (f'the times of column {column.name} {named} and are taken as {unit}, for '
                   f'they step by {step:g}: {length:.6g} s in all; if that is wrong, say --time '

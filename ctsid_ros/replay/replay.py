@@ -231,7 +231,7 @@ class Replay:
     def _test(self, number: int, record: Record) -> None:
         result = self.results[number]
         assert result.estimate.model is not None
-        record, _ = without_corrupt(record, self.config.settings, result.estimate.model)
+        record, _ = without_corrupt(record, self.config.settings)
         self.results[number] = replace(
             result, next_fit=simulation(result.estimate.model, record).fit)
 

@@ -191,7 +191,7 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
         config = config if args.params else of_this_bag(bag, config, path)
         data, offset, notes = _read(bag, config, args)
     models = [_model(c.estimate) for c in compared.found]
-    record, spikes = without_corrupt(data.record, config.settings, models[0])
+    record, spikes = without_corrupt(data.record, config.settings, *models)
     for model in models:
         check_dead_times(model, record)
     # All on the same samples.

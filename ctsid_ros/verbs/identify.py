@@ -463,7 +463,7 @@ def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
     from ctsid_core.bases.preparation import without_corrupt
 
     return [(i, without_corrupt(s.tested or s.data.record, outcome.config.settings,
-                                outcome.model)[0])
+                                *filter(None, (outcome.model,)))[0])
             for i, s in enumerate(outcome.sources[:_MOST_DRAWN], 1)]
 
 

@@ -36,7 +36,6 @@ from ctsid_ros.verbs.arguments import (
 
 _GROWS = 3.0          # times e within a record: no simulation tells more
 _DATED = 10 ** 17     # ns: of a clock that is set, and did not begin with 0
-_WHOLE = 0.95  # of a recording: a model of so much of it is a model of it
 
 if TYPE_CHECKING:
     from ctsid_core.linear.types import Array
@@ -109,7 +108,7 @@ def command(args: argparse.Namespace) -> int:
         failed = '' if rests else failure(
             estimate, as_judged(estimate, outcome.model, record)
             if estimate.by_predictions else outcome.simulated, record,
-            partly=0.0 < shared < _WHOLE * record.duration)
+            partly=0.0 < shared < record.duration - max(s.period for s in record.outputs))
         estimate = retested(estimate, failed)
         notes = (*_own_data(shared, record),
                  *_unsimulated(outcome.simulated), *rests * (
