@@ -393,4 +393,4 @@ def test_a_last_sample_that_is_corrupt_does_not_spoil_a_model():
     found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings())
     assert found.good
     assert found.model.poles == pytest.approx([-2.0], abs=0.05)
-    assert any('1 of 500 samples are corrupt' in note for note in found.notes)
+    assert any('1 of 500 samples stand out' in note for note in found.notes)

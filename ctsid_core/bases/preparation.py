@@ -17,7 +17,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.bursts import without_bursts
 from ctsid_core.signals.gaps import FEWEST, missing
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
-from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices
+from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices, with_each
 from ctsid_core.signals.repeats import without_repeats
 from ctsid_core.signals.spikes import SURE
 
@@ -77,22 +77,13 @@ def _as_measured(signals: Sequence[Signal], corrupt: Sequence[Spikes], honest: S
 
 def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return a record without values that are no measurements but torn bits, and notes on them."""
-    notes: list[str] = []
-
-    def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
-        found = []
-        for signal, channels in zip(signals, channel_slices(signals), strict=True):
-            good = (np.abs(signal.values) <= LARGEST).all(axis=1)
-            if not good.all():
-                notes.append(f'{np.count_nonzero(~good)} of {len(good)} samples of '
-                             f'{", ".join(names[channels])} are larger than {LARGEST:g}, and '
-                             'were not used; check that sensor')
-                signal = replace(signal, time=signal.time[good], values=signal.values[good])
-            found.append(signal)
-        return tuple(found)
-    inputs, outputs = (of(record.inputs, record.input_names),
-                       of(record.outputs, record.output_names))
-    return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
+    def whole(signal: Signal, names: tuple[str, ...]) -> tuple[Signal, str]:
+        good = (np.abs(signal.values) <= LARGEST).all(axis=1)
+        return (signal, '') if good.all() else (
+            replace(signal, time=signal.time[good], values=signal.values[good]),
+            f'{np.count_nonzero(~good)} of {len(good)} samples of {", ".join(names)} are larger '
+            f'than {LARGEST:g}, and were not used; check that sensor')
+    return with_each(record, whole)
 
 
 def as_measured(record: Record) -> tuple[Record, tuple[str, ...]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
 from ctsid_core.signals.gaps import FEWEST
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, with_each
 
 _AT_ONCE = 0.1        # of the mean interval: samples less apart arrive together
 _REGULAR = 0.8        # of the bursts have as many samples as the median one, or one more or less
@@ -30,23 +30,13 @@ _MOVES = (0.4, 2.0)   # of the motion between neighbours, for its time, that a b
 
 def without_bursts(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return a record with samples of bursts where they were, and a sentence on each signal."""
-    notes: list[str] = []
-
-    def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
-        found = []
-        for signal, channels in zip(signals, channel_slices(signals), strict=True):
-            times, usual = _spread(signal.time, signal.values)
-            if usual > 1:
-                notes.append(
-                    f'samples of {", ".join(names[channels])} come about {usual} at a time, and '
-                    'are taken as measured evenly since the ones before; stamp them where they '
-                    'are measured (in a bag: `stamp: auto` takes such stamps)')
-                signal = replace(signal, time=times)
-            found.append(signal)
-        return tuple(found)
-    inputs, outputs = (of(record.inputs, record.input_names),
-                       of(record.outputs, record.output_names))
-    return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
+    def spread(signal: Signal, names: tuple[str, ...]) -> tuple[Signal, str]:
+        times, usual = _spread(signal.time, signal.values)
+        return (signal, '') if usual < 2 else (replace(signal, time=times), (
+            f'samples of {", ".join(names)} come about {usual} at a time, and are taken as '
+            'measured evenly since the ones before; stamp them where they are measured (in a bag: '
+            '`stamp: auto` takes such stamps)'))
+    return with_each(record, spread)
 
 
 def _spread(times: Array, values: Array) -> tuple[Array, int]:

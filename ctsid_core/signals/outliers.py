@@ -104,9 +104,9 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
             bad = spiky.mask[inside, j]
             if bad.any():
                 counts[f'corrupt_samples.{name}'] = float(np.count_nonzero(bad))
-                notes.append(f'{kind} {name}: {np.count_nonzero(bad)} of {len(bad)} samples are '
-                             'corrupt, far from their neighbours or their model, and were not '
-                             'used: '
+                notes.append(f'{kind} {name}: {np.count_nonzero(bad)} of {len(bad)} samples '
+                             'stand out of their neighbours or of what the model leaves, as '
+                             'corrupt ones do, and were not used: '
                              + _places(times[bad]) + held * (kind == 'input'))
             if j in spiky.too_many:
                 notes.append(f'{kind} {name}: more than {100 * MOST:g} % of the samples lie far '

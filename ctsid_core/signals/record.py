@@ -7,7 +7,7 @@ Orientation is fixed: time first. `time` has shape (N,), `values` (N, m).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -236,6 +236,26 @@ class Record:
             self, start=start, end=end,
             inputs=tuple(s.between(start - lead, end) for s in self.inputs),
             outputs=tuple(s.between(start, end) for s in self.outputs))
+
+
+def with_each(record: Record, change: Callable[[Signal, tuple[str, ...]], tuple[Signal, str]]
+              ) -> tuple[Record, tuple[str, ...]]:
+    """
+    Return a record with every signal changed, and a sentence on each that was.
+
+    `change` takes a signal and the names of its channels, and returns what it becomes and the
+    sentence; an empty one if it is as before. If all are, so is the record.
+    """
+    notes: list[str] = []
+
+    def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
+        found = [change(signal, names[channels]) for signal, channels in zip(
+            signals, channel_slices(signals), strict=True)]
+        notes.extend(note for _, note in found if note)
+        return tuple(signal for signal, _ in found)
+    inputs, outputs = (of(record.inputs, record.input_names),
+                       of(record.outputs, record.output_names))
+    return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
 
 
 def channel_slices(signals: Sequence[Signal]) -> list[slice]:
