@@ -118,5 +118,5 @@ def _like_time(signal: Signal, start: float, end: float) -> float:
     at = np.maximum(np.searchsorted(signal.time, time, side='right') - 1, 0)
     values = np.column_stack((signal.values[at], np.ones(len(time))))
     time -= time.mean()
-    left = time - values @ np.linalg.lstsq(values, time)[0]
+    left = time - values @ np.linalg.lstsq(values, time, rcond=None)[0]
     return 1.0 - float(left @ left) / max(float(time @ time), 1e-300)
