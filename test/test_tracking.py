@@ -513,3 +513,50 @@ def test_inputs_before_a_window_change_nothing_where_none_acts_later():
     assert known.statistics.keys() == alone.statistics.keys()
     assert {k: known.statistics[k] for k in known.statistics if 'samples' in k} == {
         k: alone.statistics[k] for k in alone.statistics if 'samples' in k}
+
+
+@pytest.mark.parametrize('held_out', [0.0, 0.3])
+def test_windows_apart_tell_of_a_change_by_what_the_model_left_in_its_own(held_out):
+    """There are no older data in a window that begins after the one before has ended."""
+    settings = Settings(order=1, feedthrough=False, delay=0.0, held_out=held_out)
+    whole = late_lag(0.0, 60.0)
+    y, = whole.outputs
+    weaker = replace(y, values=np.where(y.time >= 40.0, 0.7, 1.0)[:, np.newaxis] * y.values)
+    for output, grades in ((y, ('GOOD',) * 3), (weaker, ('GOOD', 'WEAK', 'GOOD'))):
+        record = replace(whole, outputs=(output,))
+        found = run([record.between(20.0 * k - 18.0, 20.0 * k) for k in (1, 2)]
+                    + [record.between(41.0, 50.0), record.between(50.5, 60.0)], settings)
+        assert tuple(t.estimate.verdict.grade.name for t in found[1:]) == grades
+        changed = found[2].estimate.verdict
+        assert ('previous model simulates the new data of output y1 badly' in changed.reason) == (
+            output is weaker)
+        assert (changed.fresh_ratio > 3.0) == (output is weaker)
+        assert 0.7 < found[3].estimate.verdict.fresh_ratio < 1.4
+    first = found[0].estimate.verdict
+    assert ('has not been tested' in first.reason) == (held_out == 0.0)
+
+
+def test_a_window_whose_sensor_has_fallen_silent_tells_nothing_of_now():
+    settings = Settings(order=1, feedthrough=False, delay=0.0)
+    whole = late_lag(0.0, 40.0)
+    (u,), (y,) = whole.inputs, whole.outputs
+    died = replace(whole, outputs=(replace(y, time=y.time[y.time < 25.0],
+                                           values=y.values[y.time < 25.0]),))
+    seen = 0
+    for record in windows_of(died, 10.0, 1.0, settings):
+        end = record.epoch_ns / S - 1000.0 + record.duration
+        verdict = run([record], settings)[0].estimate.verdict
+        if end > 34.0:          # it is too short for a model then
+            continue
+        seen += 1
+        assert verdict.grade is (Grade.GOOD if end < 25.9 else Grade.WEAK), end
+        if end > 26.1:
+            silent_for = f'No sample of y1 has come in the last {end - 24.98:.3g} s of the window'
+            assert verdict.reason.startswith(silent_for)
+    assert seen == 25
+    # A command that is sent when it changes is known all the time.
+    rests = replace(whole, inputs=(replace(u, time=u.time[u.time < 25.0],
+                                           values=u.values[u.time < 25.0]),)).between(20.0, 30.0)
+    assert 'No sample' not in run([rests], settings)[0].estimate.verdict.reason
+    measured = replace(rests, inputs=(replace(rests.inputs[0], hold='linear'),))
+    assert 'No sample of u1' in run([measured], settings)[0].estimate.verdict.reason

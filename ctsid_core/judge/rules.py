@@ -432,30 +432,44 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
 
 
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
-                before: tuple[int, ...] = ()) -> Estimate:
+                before: tuple[int, ...] = (),
+                silent: tuple[tuple[str, float], ...] = ()) -> Estimate:
     """
-    Return an estimate whose verdict takes the previous model into account.
+    Return an estimate whose verdict takes the previous model, and what is new, into account.
 
     Fresh fit and ratio, (ny,), are those of that model on the data that are new, NaN if not known;
     `before` has its order, and that of the last GOOD model; neither if there was none, or if the
-    order is set. `moved`: see `Verdict`.
+    order is set. `moved`: see `Verdict`. `silent`: channels that end long before the window, and
+    by how much [s].
     """
     verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
     model = estimate.model
     if model is None:
         return replace(estimate, verdict=verdict)
-    if verdict.reason.startswith(UNTESTED) and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
-        verdict = replace(verdict, grade=Grade.GOOD, remedy=Remedy.TEST,
-                          reason='Every test is passed; the previous model simulates the new '
-                          'data of this window well.')
-        verdict = weakened(verdict)
-    if verdict.grade is Grade.GOOD:
-        reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
-                   *_moves(model.n, before, moved, fresh_ratio)]
-        if reasons:
-            remedy, reason = reasons[0]
-            verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)
+    reasons = [*_silences(silent), *_collapses(model.output_names, fresh_fit, fresh_ratio),
+               *_moves(model.n, before, moved, fresh_ratio)]
+    if verdict.reason.startswith(UNTESTED) and (reasons or _well(fresh_fit, fresh_ratio)):
+        verdict = weakened(replace(
+            verdict, grade=Grade.GOOD, remedy=Remedy.TEST, reason='Every test is passed; the '
+            'previous model simulates the new data of this window well'
+            f'{_of_poles(verdict.pole_uncertainty)}.'))
+    if verdict.grade is Grade.GOOD and reasons:
+        remedy, reason = reasons[0]
+        verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)
     return replace(estimate, verdict=verdict)
+
+
+def _silences(silent: tuple[tuple[str, float], ...]) -> Iterator[tuple[Remedy, str]]:
+    for name, seconds in silent:
+        yield Remedy.RECORD, (
+            f'No sample of {name} has come in the last {seconds:.3g} s of the window, so that the '
+            'model is of the time before; check the sensor.')
+
+
+def _well(fit: Array, ratio: Array) -> bool:
+    """Return whether the previous model simulates the new data of all outputs well."""
+    return bool(np.all(np.where(np.isfinite(ratio), (ratio <= _FRESH_RATIO) | (fit >= _FRESH_FIT),
+                                fit >= _FRESH_FIT)))
 
 
 def _collapses(names: tuple[str, ...], fit: Array, ratio: Array

@@ -23,10 +23,11 @@ from ctsid_core.judge.rules import in_sequence, rejected_over_change
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import simulation
+from ctsid_core.model.validation import Validation, simulation
 from ctsid_core.sequence.alignment import aligning, referring
 from ctsid_core.sequence.mode_rows import Rows, follow
 from ctsid_core.settings import Settings
+from ctsid_core.signals.gaps import silent_at_end
 from ctsid_core.signals.record import Record
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
@@ -64,6 +65,7 @@ class _Past:
     realisation: int = 0
     reference: StateSpace | None = None
     model: StateSpace | None = None
+    error: Array = field(default_factory=lambda: np.empty(0))   # (ny,): rms, of its simulation
     orders: tuple[int, ...] = ()    # of the model, and of the last GOOD one
     pole_std: Array = field(default_factory=lambda: np.empty(0))
     end_ns: int = 0
@@ -113,14 +115,14 @@ class Tracker:
             estimate = self._reject_straddling(estimate)
         known = past.model is not None and not settings.order
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
-                               past.orders if known else ())
+                               past.orders if known else (), silent_at_end(record))
         model = estimate.model
         if model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
         estimate, now = _following(past, estimate, model, 2 * np.pi / record.duration)
         if self._past is past:  # else somebody has called reset() in the meantime
-            self._past = now
+            self._past = replace(now, error=_error(estimate, record))
         rows = now.rows
         return Tracked(estimate, now.realisation, rows.identities, rows.eigenvalues,
                        estimate.pole_std[list(rows.order)], test.fit, test.start_ns, test.end_ns)
@@ -172,6 +174,14 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
         pole_std=estimate.pole_std, end_ns=estimate.end_ns, rows=rows, next_mode=next_mode)
 
 
+def _error(estimate: Estimate, record: Record) -> Array:
+    """Return the rms error with which a model simulates each output of its window, if known."""
+    if estimate.by_predictions:
+        return np.full(record.ny, np.nan)
+    motion = [s.values[s.rows(record.start, record.end)].std(axis=0) for s in record.outputs]
+    return estimate.verdict.error * np.concatenate(motion)
+
+
 def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:
     """
     Return the deviations of the poles in the order of the aligned model's poles.
@@ -218,23 +228,22 @@ def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    fit, ratio = np.array([_compared(y, y_hat, new) for y, y_hat in zip(
-        found.y.T, found.y_hat.T, strict=True)]).T
+    error, before = _errors(found, new), _errors(found, ~new)
+    # Where older data are no longer in this window, the model's own window tells.
+    before = np.where(np.isnan(before), past.error, before)
+    spread = np.array([np.std(y[~np.isnan(y)]) if np.isfinite(y).any() else 0.0
+                       for y in found.y.T])
+    fit = 100.0 * (1.0 - error / np.where(spread > 0.0, spread, np.nan))
     if np.isnan(fit).all():
         return none
+    ratio = np.where(error > 0.0, error, np.nan) / np.where(before > 0.0, before, np.nan)
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _compared(y: Array, y_hat: Array, new: Mask) -> tuple[float, float]:
-    """Return the fit of one output on its new samples [%], and the error there over the rest's."""
-    spread = float(y[~np.isnan(y)].std()) if not np.isnan(y).all() else 0.0
-    error, before = (_rms(y - y_hat, rows) for rows in (new, ~new))
-    return (100 * (1 - error / spread) if spread > 0 else np.nan,
-            error / before if error > 0 and before > 0 else np.nan)
-
-
-def _rms(error: Array, rows: Mask) -> float:
-    """Return the root mean square of errors on some rows, where known; NaN for too few."""
-    found = error[rows & ~np.isnan(error)]
-    with np.errstate(over='ignore'):  # a model that explodes
-        return float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan
+def _errors(found: Validation, rows: Mask) -> Array:
+    """Return the rms error of each output on some rows, where known; NaN for too few."""
+    error = np.where(rows[:, np.newaxis], found.y - found.y_hat, np.nan)
+    number = np.sum(~np.isnan(error), axis=0)
+    with np.errstate(over='ignore', invalid='ignore'):  # a model that explodes
+        power = np.nansum(error ** 2, axis=0) / np.maximum(number, 1)
+    return np.where(number >= _FEWEST, np.sqrt(power), np.nan)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.instants import after_start
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record, Signal, channel_slices
 
 GAP_PERIODS = 5.0       # longer intervals, in usual ones, are gaps: not splined over
 _USUAL = 0.9            # of the intervals of a signal are no longer than the usual one: pauses
@@ -26,6 +26,7 @@ _USUAL = 0.9            # of the intervals of a signal are no longer than the us
 _LONG = 0.01            # of a record: shorter pauses are bridged, for each costs states and
                         # offsets anew, and a shorter part is none if it has few samples
 _MANY = 5               # times as many as any part has: a short experiment in a long recording
+_LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -65,6 +66,24 @@ def missing(signal: Signal, record: Record) -> float:
     stamps = np.concatenate(([start], signal.time[signal.rows(start, end)], [end]))
     silent = sum(b - a for a, b in _silent(np.unique(stamps), (signal,), record))
     return silent / record.duration
+
+
+def silent_at_end(record: Record) -> tuple[tuple[str, float], ...]:
+    """
+    Return the signals that end long before their record does, and for how long they are silent.
+
+    Names of their first channels, and seconds. An input that is held is not silent.
+    """
+    found = []
+    for signals, names in ((record.outputs, record.output_names),
+                           (record.inputs, record.input_names)):
+        for s, places in zip(signals, channel_slices(signals), strict=True):
+            last = s.time[:np.searchsorted(s.time, record.end, side='right')][-1:]
+            known = signals is record.inputs and s.hold == 'zoh'
+            if not known and len(last) and record.end - last[0] > _LAST * record.duration \
+                    and _misses(replace(s, hold='smooth'), last, record)[0]:
+                found.append((names[places.start], float(record.end - last[0])))
+    return tuple(found)
 
 
 def _silent(stamps: Array, signals: Sequence[Signal], record: Record
