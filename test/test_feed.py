@@ -159,6 +159,25 @@ def test_windows_of_two_publishers_are_told_live_and_of_a_recording(tmp_path, pu
             'give them topics of their own.',)
 
 
+def test_publishers_mix_while_windows_have_samples_of_both_in_turns():
+    def seen(publishers, known=True):
+        feed = Feed(CONFIG, TYPES, lambda _: 2)
+        assert feed.mixes('/cmd')                   # nobody knows yet
+        found = []
+        for _, taken in numbered(publishers):
+            feed.take([taken if known else taken._replace(sequence=None)], taken.arrival_ns)
+            if taken.topic == '/cmd':
+                found.append(feed.mixes('/cmd'))
+        return found
+
+    taking_turns = seen(between(2, 2))
+    assert not any(taking_turns[:85])
+    assert all(taking_turns[95:110])
+    assert not any(taking_turns[-15:])
+    assert not any(seen(lambda t, k: 1 if t < 2.0 else 2))      # one takes over
+    assert all(seen(lambda t, k: 1, known=False))
+
+
 @pytest.mark.parametrize('spoilt', [[2], [1, 2]])
 @pytest.mark.parametrize('values', [[], [math.nan, 0.0]])
 def test_a_publisher_of_which_no_sample_is_kept_mixes_nothing(tmp_path, values, spoilt):

@@ -390,6 +390,27 @@ def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, 
         assert float(record.faults[0].split()[4]) == pytest.approx(rate, rel=0.01)
 
 
+@pytest.mark.parametrize(('imu', 'cmd', 'told'), [
+    (0.3, None, True),          # from the future, beside a topic without headers
+    (5.0, -0.003, True),        # or beside one whose messages come 3 ms after they are stamped
+    (5.0, 4.99, False),         # one clock that is 5 s ahead of the recorder's
+    (0.015, None, False), (-0.1, None, False), (-0.1, -0.002, False)])      # what takes its time
+def test_headers_from_the_future_are_of_another_clock(imu, cmd, told):
+    ingest, records = make(U, P, window_length=10.0, window_max_delay=6.0), []
+    for k in range(3000):
+        log = EPOCH + k * S // 100
+        for topic, ahead, x in (('/imu', imu, math.sin(k)), ('/cmd', cmd, math.cos(k))):
+            header = None if ahead is None else log + round(ahead * S)
+            ingest.push(topic, log, 0, header, (x,))
+        records += ingest.due()
+    assert records
+    for record in records:
+        assert bool(record.faults) is told
+    if told:
+        assert record.faults[0].startswith(f'Headers of /imu are {imu:g} s ahead of when its ')
+        assert 'those of u are not: their clocks differ' in record.faults[0]
+
+
 def test_the_clock_of_headers_is_the_same_from_rows():
     rng = np.random.default_rng(2)
     log = np.cumsum(rng.exponential(0.3e9, 200)).astype(np.int64)

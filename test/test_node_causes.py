@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import time
 
 import numpy as np
@@ -12,10 +13,13 @@ pytest.importorskip('rclpy')
 from live import RELIABLE, Live  # noqa: E402
 from robot import EPOCH, Robot, S, joint_message, motion, params  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from test_feed import CONFIG, TYPES, command, rate  # noqa: E402
 
 from ctsid_core.model.verdict import Grade  # noqa: E402
 from ctsid_ros.config.parameter_file import read_config  # noqa: E402
+from ctsid_ros.ingest.feed import Feed, Taken  # noqa: E402
 from ctsid_ros.messages import Level  # noqa: E402
+from ctsid_ros.node.diagnosis import IngestDiagnosis  # noqa: E402
 from ctsid_ros.recordings.bag import open_bag  # noqa: E402
 from ctsid_ros.replay.replay import Replay  # noqa: E402
 
@@ -149,3 +153,19 @@ def test_a_parameter_file_for_another_node_is_said(live):
     assert ('no parameter of a file is for this node: the file has to name it, as `/identifier:`, '
             'or all, as `/**:`; or start the node by the name in the file, with `-r '
             '__node:=NAME`') in node.log
+
+
+def test_a_silence_within_the_last_window_is_told_until_it_has_left():
+    """Commands are lost for 3 s, then they come again."""
+    config = replace(CONFIG, settings=CONFIG.settings.replace(window_length=4.0))
+    feed, look, said = Feed(config, TYPES, lambda _: 1), IngestDiagnosis(config, EPOCH), {}
+    for second in range(20):
+        now_ns = EPOCH + second * S
+        feed.take([Taken(now_ns, '/rate', rate(now_ns, 0.1)),
+                   *([] if 5 <= second < 8 else [Taken(now_ns, '/cmd', command([0, 1]))])], now_ns)
+        said[second] = look.look(feed, now_ns, 1.5, [], '').message
+    assert 'silent' not in said[5]
+    assert '/cmd has been silent for 3.0 s' in said[7]
+    assert '/cmd was silent for 3.0 s until 1 s ago' in said[8]
+    assert '/cmd was silent for 3.0 s until 3 s ago' in said[10]
+    assert 'silent' not in said[11]

@@ -27,8 +27,9 @@ _OTHER_CLOCK = ('have stamps up to {late} behind the newest of all channels: the
                 'another; set `stamp` to log for all channels, or correct the clock')
 # Where there is nothing else: no window comes of such a channel.
 _ALL = {
-    'late': 'comes in time: they are up to {late} behind the newest of all channels; raise '
-            '`window.max_delay` ({max_delay})',
+    'late': 'comes in time: they are up to {late} behind the newest of all channels; set `stamp` '
+            'to log for all channels if clocks differ, else raise `window.max_delay` '
+            '({max_delay})',
     'astray': 'can be used: their stamps are {astray} of all others, so the clocks are not one; '
               'set `stamp` to log for all channels, or correct the clock',
     'bad_stamp': 'has a stamp that can be one; correct the publisher, or set `{name}.stamp` to '

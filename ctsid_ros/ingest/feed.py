@@ -73,6 +73,7 @@ class TopicState:
     numbers: SequenceNumbers
     messages: int = 0
     last_ns: int = 0  # arrival of the last message
+    numbered: bool = False  # whether it had a number of its publisher's
 
 
 class Feed:
@@ -171,6 +172,11 @@ class Feed:
         """How much of the next window there is, 0 to 1."""
         return 0.0 if self._ingest is None else self._ingest.filled
 
+    def mixes(self, topic: str) -> bool:
+        """Whether publishers of a topic may have taken turns since the last window began."""
+        return not self.topics[topic].numbered or (
+            self._ingest is not None and self._ingest.mixes(topic))
+
     def counts(self) -> IngestCounts | None:
         """Return what became of the samples; None while the lengths of arrays are awaited."""
         return None if self._ingest is None else self._ingest.counts()
@@ -227,6 +233,7 @@ class Feed:
         state.messages += 1
         state.last_ns = taken.arrival_ns
         number = taken.sequence or 0
+        state.numbered = number > 0
         if number:
             state.numbers.take(number)
         log_ns = self._log_time(taken.arrival_ns)

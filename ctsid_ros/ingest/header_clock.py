@@ -13,6 +13,9 @@ DRIFT = 1e-3  # clocks of computers drift by less: 100 ppm are many
 REAL_TIME = 0.05  # cheap ones by less: a simulation that is not in real time is far from it
 _KEPT = 4096  # seconds, at most
 _FEWEST = 6  # messages: of fewer a line tells no jitter
+AHEAD = 0.02  # s, of headers before their messages come: clocks that are set by a network's
+# differ by less
+_SURE = 2  # messages
 
 
 class HeaderClock:
@@ -44,10 +47,18 @@ class HeaderClock:
         """Forget what no window from a time on [ns] needs."""
         self._pairs = [pair for pair in self._pairs if pair[0] >= before_ns][-_KEPT:]
 
+    def _within(self, record: Record) -> NDArray[np.int64]:
+        start, end = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
+        return np.array([pair for pair in self._pairs if start <= pair[0] <= end], np.int64)
+
+    def ahead(self, record: Record) -> float:
+        """Return by how much headers are ahead of the log within a record, the median [s]."""
+        pairs = self._within(record)
+        return float(np.median(pairs[:, 1] - pairs[:, 0])) * 1e-9 if len(pairs) >= _SURE else 0.0
+
     def rate(self, record: Record, drift: float) -> float:
         """Return how fast the headers run within a record; 1 where it may be by a drift only."""
-        start, end = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
-        pairs = np.array([pair for pair in self._pairs if start <= pair[0] <= end])
+        pairs = self._within(record)
         if len(pairs) < _FEWEST:
             return 1.0
         log, header = ((pairs - pairs[0]) * 1e-9).T

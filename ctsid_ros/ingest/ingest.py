@@ -26,7 +26,7 @@ from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
-from ctsid_ros.ingest.header_clock import DRIFT, REAL_TIME, HeaderClock
+from ctsid_ros.ingest.header_clock import AHEAD, DRIFT, REAL_TIME, HeaderClock
 from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
@@ -299,6 +299,10 @@ class Ingest:
                                                    topic.absent[self._group_of[channel.name]])
         return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
 
+    def mixes(self, topic: str) -> bool:
+        """Whether publishers of a topic have taken turns since the last window began."""
+        return any(self._mixing[group].turns for group, _, _ in self._topics[topic].groups)
+
     def forget_worst(self) -> None:
         """Let the counts tell of samples far out of place only if they come from now on."""
         self._window.forget_worst()
@@ -397,6 +401,25 @@ class Ingest:
                 yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
                        f'{", ".join(timed)}, so dead times drift; set `stamp: log` for all '
                        'channels.')
+
+        yield from self._ahead(record)
+
+    def _ahead(self, record: Record) -> Iterator[str]:
+        """Yield headers of messages that have come before they were stamped; others have not."""
+        by: dict[str, list[str]] = {'header': []}
+        for channel in self._config.channels:
+            source = self._topics[channel.topic].source_of(channel.name)[0]
+            by.setdefault(source, []).append(channel.name)
+        ahead = {c.topic: self._topics[c.topic].clock.ahead(record)
+                 for c in self._config.channels if c.name in by['header']}
+        others = [c.name for c in self._config.channels
+                  if c.name not in by['header'] or ahead[c.topic] <= AHEAD]
+        for topic, seconds in ahead.items() if others else ():
+            if seconds > AHEAD:
+                yield (f'Headers of {topic} are {seconds:.3g} s ahead of when its messages come, '
+                       f'and those of {", ".join(others)} are not: their clocks differ, and dead '
+                       'times are wrong by as much; set `stamp: log` for all channels, or set '
+                       'the clocks by each other.')
 
     def _way_out(self, topic: str, source: int) -> str:
         if any(c.topic == topic and c.type.startswith('table/') for c in self._config.channels):

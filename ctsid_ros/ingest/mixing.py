@@ -45,6 +45,11 @@ class Mixing:
         if self._turns:
             self._turns = [turn for turn in self._turns if turn[-1] >= before_ns]
 
+    @property
+    def turns(self) -> bool:
+        """Whether any are remembered."""
+        return bool(self._turns)
+
     def within(self, signal: Signal, record: Record) -> bool:
         """Whether samples of a signal are mixed within its record, those that were kept."""
         if not self._turns:

@@ -55,6 +55,7 @@ class IngestDiagnosis:
         self._past: dict[str, _Past] = {}
         self._length = config.settings.window_length
         self._recent = Recent(self._length)
+        self._silences: dict[str, tuple[int, float]] = {}  # the last of each: when, how long
         self.troubles: list[str] = []
 
     def look(self, feed: Feed, now_ns: int, timeout: float, faults: Sequence[str],
@@ -75,6 +76,7 @@ class IngestDiagnosis:
             The last fault of the ingest itself, if any.
         """
         silent: list[str] = []
+        ended: list[str] = []
         values: dict[str, object] = {}
         for topic, state in feed.topics.items():
             age = (now_ns - (state.last_ns or self._start_ns)) * 1e-9
@@ -83,6 +85,12 @@ class IngestDiagnosis:
                               'publisher' if state.messages
                               else f'no message has come on {topic}; check its name, and that '
                               'its publisher runs')
+                if state.messages:
+                    self._silences[topic] = now_ns, age
+            elif topic in self._silences and (
+                    since := (now_ns - self._silences[topic][0]) * 1e-9) < self._length:
+                ended.append(f'{topic} was silent for {self._silences[topic][1]:.1f} s until '
+                             f'{since:.0f} s ago, which is within the last window')
             values |= {f'{topic} messages': state.messages,
                        f'{topic} rate [1/s]': self._rate(topic, state.messages, now_ns * 1e-9),
                        f'{topic} age [s]': age if state.messages else math.nan,
@@ -92,7 +100,7 @@ class IngestDiagnosis:
         values |= {'window filled [%]': 100.0 * feed.filled, 'largest batch': feed.largest_batch,
                    **_sample_values(totals, recent, self._config)}
         own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
-        troubles = [*own, *faults, *silent]
+        troubles = [*own, *faults, *silent, *ended]
         # What never came is reported as silent already.
         troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')
                      if 'no message has come' not in line]

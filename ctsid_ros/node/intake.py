@@ -114,7 +114,7 @@ class Intake:
                     yield f'{who} {fault}'
                 else:
                     heard.append(who.removesuffix(f' of {name}'))
-            if len(heard) > 1 and topic in self._mixing:
+            if len(heard) > 1 and topic in self._mixing and self._feed.mixes(topic):
                 yield (f'{len(heard)} publishers are on {name}, whose samples are mixed into the '
                        f'same channels: {", ".join(heard)}; stop all but one, or give them topics '
                        'of their own')

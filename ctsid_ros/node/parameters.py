@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field
 from functools import partial
+import time
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -35,6 +36,7 @@ from ctsid_ros.config.parameter_text import describe
 from ctsid_ros.node.descriptors import default, descriptor, untyped
 
 _PLAIN = {'name': 'a', 'role': 'input', 'topic': 'a', 'type': '', 'field': 'a'}
+_DISCOVERY = 2.0  # s: publishers that run are known by then
 _WHOLE = (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY)
 _FIXED = ('is fixed while the node is configured; clean it up first (ros2 lifecycle set '
           '{node} cleanup), or change the parameter file')
@@ -198,14 +200,18 @@ def _given(node: Node) -> dict[str, object]:
 
 def _topic_faults(node: Node) -> list[str]:
     """Return what is wrong with names of topics and their types, as far as the node knows."""
-    graph, faults = dict(node.get_topic_names_and_types()), []
+    faults, until = [], time.monotonic() + _DISCOVERY
     for name in _listed(node):
         topic, kind = (_value(node, f'{name}.{key}') for key in ('topic', 'type'))
         if not topic or not isinstance(topic, str):
             continue  # its other faults are reported elsewhere
         types: Sequence[str] = ()
         try:
-            types = graph.get(node.resolve_topic_name(topic), ())
+            own = node.resolve_topic_name(topic)
+            # A node that has just started does not know yet what others publish.
+            while not (types := dict(node.get_topic_names_and_types()).get(own, ())) \
+                    and kind == '' and time.monotonic() < until:
+                time.sleep(0.05)
         except RuntimeError as error:  # RCLError: its class is private
             reason = str(error).partition(', at ')[0]
             faults.append(f'`{name}.topic` is {topic!r}, which cannot be a topic: {reason}')

@@ -91,10 +91,12 @@ class Run:
         with self.intake.lock:
             ingest = self.diagnosis.look(self.feed, time.time_ns(), timeout, faults,
                                          self.intake.failure)
+            filled = self.feed.filled
+        fills = f', the next one is filled to {100.0 * filled:.0f} %' if filled < 0.99 else ''
         progress = self.session.progress
         gone = ('no messages come in' if ingest.level is Level.STALE else
-                f'no window has come for {progress.idle:.1f} s' if progress.overdue > timeout
-                else '')
+                f'no window has come for {progress.idle:.1f} s{fills}'
+                if progress.overdue > timeout else '')
         return [ingest, with_cause(diagnose_identification(progress), gone,
                                    self.diagnosis.troubles)]
 
