@@ -453,17 +453,18 @@ def late_servo(seed: int) -> Record:
     return Record.from_arrays(t_u, held.values, t, y, input_hold='zoh')
 
 
-@pytest.mark.parametrize(('seeds', 'least'), [(4, 3), pytest.param(
-    14, 12, marks=[pytest.mark.slow, pytest.mark.xfail(reason='11 of 14')])])
+@pytest.mark.parametrize(('seeds', 'least'), [(range(4), 3), pytest.param(
+    range(14), 12, marks=[pytest.mark.slow, pytest.mark.xfail(reason='11 of 14')]),
+    *slow((range(30, 58), 16))])        # 6 without starts behind the lags of states
 def test_a_gain_after_a_dead_time_is_not_taken_for_many_states(seeds, least):
     """The lags of states that are too fast to be seen belong to the dead time of D."""
     right = 0
-    for seed in range(seeds):
+    for seed in seeds:
         found = identify(late_servo(seed))
         model = found.model
         right += bool(model.n <= 3 and found.statistics['corrupt_samples'] == 0
                       and abs(model.D[0, 0] - 1.7) < 0.02 and abs(model.delay[0] - 0.04) < 1e-3)
-    print(f'{right} of {seeds}')
+    print(f'{right} of {len(seeds)}')
     assert right >= least
 
 

@@ -339,26 +339,22 @@ def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray
 
 
 def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = None, *,
-             moving: bool = True,
-             moves: ComplexArray | None = None) -> tuple[Array, Array, Places]:
+             moving: bool = True) -> tuple[Array, Array, Places]:
     """
     Return derivatives of the simulation over the noise, the errors over it, and places.
 
     Unless poles and dead times are `moving`, those by what is linear alone. `around`: how poles
-    move, if that is known; instead `moves`, (k, m, m), may say how the matrix A of all modes does.
+    move, if that is known.
     """
     fit = _with_slopes(samples, fit, free) if moving else fit
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
     dp, late, places = _coordinates(
         samples, model, free, (around or steps_around(samples, model)) if moving else None)
-    if moves is None and samples.kernel is not None:
+    if samples.kernel is not None:
         return *samples.kernel.jacobian(
             fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late,
             places.count(ny, records)), places
-    if moves is None:
-        moves = dp[:, :, np.newaxis] * np.eye(len(poles))
-    places = replace(places, poles=len(moves))
     count, own = places.count(ny, records), places.own
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
@@ -376,7 +372,7 @@ def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = 
                 J = np.zeros((len(t.one), count))
                 at = places.poles + places.delays
                 if moving:
-                    J[:, :places.poles] = (slopes @ (c @ moves).T).real
+                    J[:, :places.poles] = (slopes @ (c * dp).T).real
                     J[:, places.poles:at] = _by_delay(t, model, i, fit.columns.first[r], late)
                 J[:, at:at + places.b] = _real(turned[:, :, :nu], poles)
                 at += places.b + r * places.x0

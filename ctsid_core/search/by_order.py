@@ -33,7 +33,6 @@ from ctsid_core.likelihood.output_error import (
     errors_of,
     fit_at,
 )
-from ctsid_core.likelihood.parting import parted
 from ctsid_core.likelihood.pole_steps import bounded, canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
@@ -280,8 +279,10 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         return fit.cost + AKAIKE * parameters(samples, fit, free)
     reached: list[Fit] = []
     for start in sorted(starts.values(), key=cost):
-        best = min(map(akaike, reached), default=np.inf)
-        reached.append(_climbed(samples, start, free, needed, best))
+        own = parameters(samples, start, free)
+        best = min(map(akaike, reached), default=np.inf) - AKAIKE * own
+        reached.append(climb_roughly(samples, start, free,
+                                     min(needed - price(samples) * own, best)))
         if samples.effort.beyond(SEARCH):
             break
     likeliest = min(reached, key=akaike, default=None)
@@ -336,18 +337,6 @@ def _of_more_ranks(n: int, found: dict[int, Tried],
         for pole, ranks in Counter(model.poles.tolist()).items():
             if ranks < most and model.n + 1 + (pole.imag > 0.0) == n:
                 yield model, pole
-
-
-def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: float) -> Fit:
-    """Return where a start leads; equal poles part where that promises more than its price."""
-    def climb_on(fit: Fit) -> Fit:
-        own = parameters(samples, fit, free)
-        return climb_roughly(samples, fit, free, min(needed - price(samples) * own,
-                                                     best - AKAIKE * own))
-    if (apart := parted(samples, start, free, AKAIKE)) is None:
-        start = climb_on(start)
-        apart = parted(samples, start, free, AKAIKE)
-    return start if apart is None else climb_on(apart)
 
 
 def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles,
