@@ -199,6 +199,7 @@ def test_deviations_fall_as_foretold(case, seeds):
     assert ratio < 0.6
 
 
+@pytest.mark.slow
 def test_an_order_that_is_far_too_large_ends_with_advice(tmp_path):
     """No root was found between 1 and how much more the input would have to move, 1e20 times."""
     bag, params = ROOT / 'bags/quadrotor_roll', ROOT / 'config/quadrotor_roll.yaml'

@@ -39,7 +39,7 @@ def fit_elsewhere(found) -> float:
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3)])
 @pytest.mark.parametrize(('slow_rate', 'rate', 'least'), [
-    (10.0, 100.0, 98.5), (20.0, 200.0, 98.5), (5.0, 50.0, 98.5),
+    (10.0, 100.0, 98.5), *slow((20.0, 200.0, 98.5), (5.0, 50.0, 98.5)),
     (33.0, 100.0, 96.5)])       # half a message late
 def test_a_value_that_is_sent_again_counts_once(slow_rate, rate, least, seed):
     """They were GOOD with fits elsewhere of 60 to 95 %: samples held are not what a plant does."""
@@ -102,7 +102,7 @@ def test_records_of_the_exam_are_as_they_were_measured():
 
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3)])
-@pytest.mark.parametrize('size', [3, 5, 10])
+@pytest.mark.parametrize('size', [5, *slow(3, 10)])
 def test_samples_that_arrive_together_are_put_back(size, seed):
     """They were GOOD with up to ten states, and fits elsewhere of 83 to 97 %."""
     t_u, u, t, y = moved(seed)

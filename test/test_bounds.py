@@ -117,6 +117,7 @@ def test_scaling_with_noise_and_length():
     np.testing.assert_allclose(b / a, 0.5, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_without_process_noise_both_bounds_are_one():
     model, u = statespace('hd52'), excitation()
     noise, x0 = np.array([0.3, 2.0, 0.5, 1.0]), np.array([1.0, -2.0, 0.5])

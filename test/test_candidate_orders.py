@@ -65,6 +65,7 @@ def _model(plant):
     return StateSpace(plant.A, plant.B, plant.C)
 
 
+@pytest.mark.slow
 def test_an_arm_with_lost_samples_has_enough_states(data_folder):
     """Three states and process noise are about as likely, and simulate far worse."""
     u, y = np.loadtxt(data_folder / 'daisy' / 'robot_arm.dat').T[:2]

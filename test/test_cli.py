@@ -271,7 +271,7 @@ def test_the_recording_that_a_model_is_of_is_no_test(ctsid, shared, identified):
         json.loads(out)['notes'])
 
 
-@pytest.mark.parametrize('of', ['a', 'ab'])
+@pytest.mark.parametrize('of', ['a', *slow('ab')])
 def test_of_a_clock_that_begins_with_0_the_file_tells_what_a_model_is_of(ctsid, tmp_path, of):
     rng = np.random.default_rng(0)
     for name in 'abc':
@@ -607,6 +607,7 @@ def test_recordings_apart_in_time_are_several_records(ctsid, shared, days):
     assert re.search(r'(?m)^\s+2\s+\S*tuesday_1.mcap and 1 more\s+0.0\s+8.0', out)
 
 
+@pytest.mark.slow
 def test_the_recording_of_another_plant_is_named_whatever_was_typed_first(ctsid, shared, tmp_path):
     def day(name: str, seed: int, seconds: float, gain: float = 1.0) -> Path:
         return write_mcap(tmp_path / name, moved([replace(s, message=imu(
@@ -740,6 +741,7 @@ def test_a_start_behind_the_end_is_said_without_infinity(refusal, shared):
         assert 'inf' not in err
 
 
+@pytest.mark.slow
 def test_the_dead_time_that_was_looked_for_is_shown_and_not_asked_for(ctsid, shared, identified,
                                                                       tmp_path):
     folder, out = identified
@@ -823,6 +825,7 @@ def on_terminal(folder: Path, *words: object) -> tuple[str, str]:
     return (folder / 'out').read_text(), text
 
 
+@pytest.mark.slow
 def test_results_on_stdout_what_is_done_on_stderr(shared, tmp_path):
     out, shown = on_terminal(tmp_path, 'identify', shared / 'bag', '--json', '--out',
                              tmp_path / 'res', '--duration', 5)
@@ -1007,8 +1010,9 @@ def test_a_channel_with_one_message(refusal, shared, tmp_path, verb, topic, name
         verb, bag, '--params', shared / 'params.yaml', '--out', 'res')
 
 
-@pytest.mark.parametrize(('topic', 'words'), [('/cmd', 'No input moves within the window'),
-                                              ('/imu', 'No output moves within the window')])
+@pytest.mark.parametrize(('topic', 'words'), [
+    ('/cmd', 'No input moves within the window'),
+    *slow(('/imu', 'No output moves within the window'))])
 def test_a_channel_that_is_constant(ctsid, shared, tmp_path, topic, words):
     bag = write_flight(tmp_path / 'bag', spoilt(topic, lambda _, s: replace(
         s, message=array(1.0, 2.0)) if topic == '/cmd' else at(s, stamp_of(s), 1.0)))
@@ -1213,6 +1217,7 @@ def test_blas_has_one_thread_before_numpy_comes(tmp_path):
 # --- real recordings
 
 
+@pytest.mark.slow
 def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
     """Order and dead time are given, and far too few for all that moves it."""
     bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'

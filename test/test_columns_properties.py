@@ -138,6 +138,7 @@ def examples(count: int):
                                suppress_health_check=list(hypothesis.HealthCheck))
 
 
+@pytest.mark.slow
 @examples(15)
 @hypothesis.given(recordings())
 def test_columns_equal_what_rosbags_deserialises(recording):

@@ -215,6 +215,7 @@ def test_models_of_the_same_signals_are_compared_whatever_they_are_called(run):
     assert re.search(r'renamed\s+GOOD.*yes', out)
 
 
+@pytest.mark.slow
 def test_a_signal_with_two_names_is_named_with_what_to_do(run):
     t = np.arange(0.0, 20.0, 0.02)
     rng = np.random.default_rng(4)

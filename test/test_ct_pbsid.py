@@ -113,6 +113,7 @@ def test_irregular_stamps_of_their_own(hold):
     assert pole_error(found, p.poles) < 1e-3
 
 
+@pytest.mark.slow
 def test_several_inputs_and_outputs_with_trim():
     rng = np.random.default_rng(8)
     p = plants.random_plant(rng, 4, 2, 3, feedthrough=True)
@@ -148,6 +149,7 @@ def test_several_records():
     assert both < 0.2
 
 
+@pytest.mark.slow
 def test_dead_time_that_is_given_and_one_that_is_not():
     p = plants.PLANTS['hd51']
     record = plants.running(np.random.default_rng(11), p)
@@ -223,6 +225,7 @@ def of_table(snr: int, runs: int, method: str = 'ct-pbsid'):
     return found, int(np.argmin(np.abs(poles.imag))), int(np.argmax(poles.imag))
 
 
+@pytest.mark.slow
 def test_table_1_at_50_db():
     found, real, pair = of_table(50, 8)
     assert found.std[real] < 0.0035

@@ -72,6 +72,7 @@ def test_the_deviation_is_that_of_the_scatter_with_process_noise():
     assert (ratio < 1.3).all()
 
 
+@pytest.mark.slow
 def test_deviations_know_of_noise_that_outputs_share():
     """As process noise does, it moves both: a mean of the two is no better known than one."""
     p = plant([[-2.0, 0.0], [0.0, -5.0]], [[1.0], [1.0]], [[2.0, 1.0], [2.0, 1.1]])

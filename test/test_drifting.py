@@ -39,7 +39,7 @@ def told(found):
 
 
 @pytest.mark.parametrize(('seed', 'number'), [
-    (59, 4), (71, 2), *slow((68, 0), (69, 5), (70, 0), (71, 1), (71, 4), (72, 0), (72, 6))])
+    (71, 2), *slow((59, 4), (68, 0), (69, 5), (70, 0), (71, 1), (71, 4), (72, 0), (72, 6))])
 def test_a_gain_that_drifts_costs_no_states(seed, number):
     """Two to six states imitated it: 56 to 97 % of another flight, where the gain is the mean."""
     given = experiment('gain-drift', seed, number)
@@ -75,7 +75,7 @@ def sagging(seed, gain, late=0.1):
     return Record.from_arrays(t_u, u, t[t > late], noisy(rng, y, 34), input_hold='zoh')
 
 
-@pytest.mark.parametrize(('gain', 'seeds'), [(0.3, 8), *slow((-0.4, 30), (0.1, 30))])
+@pytest.mark.parametrize(('gain', 'seeds'), [(0.3, 3), *slow((0.3, 8), (-0.4, 30), (0.1, 30))])
 def test_the_model_is_of_the_middle_and_knows_how_well(gain, seeds):
     off = []
     for seed in range(seeds):
@@ -266,7 +266,7 @@ def test_a_joint_that_rings_after_a_step_does_not_drift():
     assert np.mean(simulated(found.model, given.test)) > 98.0
 
 
-@pytest.mark.parametrize(('sag', 'bump'), [(0.1, 0.0), (0.2, 0.0), (0.2, 0.03)])
+@pytest.mark.parametrize(('sag', 'bump'), [(0.1, 0.0), *slow((0.2, 0.0), (0.2, 0.03))])
 def test_what_an_input_explains_is_no_drift(sag, bump):
     """A battery's voltage is nearly a line in time: own fits were 63, -177 and -27000 %."""
     lag = plant([[-1.0]], [[1.0]], [[1.0]])

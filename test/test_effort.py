@@ -231,7 +231,7 @@ def test_the_reason_names_what_was_left_out_or_a_note_does():
 
 @pytest.mark.parametrize(('held_out', 'starts'), [
     (0.3, (0.0, 1.0, 2.0)), (0.0, (0.0, 1.0))])         # the change is found in a third one
-@pytest.mark.parametrize('budget', [0.03, 0.0])
+@pytest.mark.parametrize('budget', [0.03, *slow(0.0)])
 def test_new_data_do_not_test_what_the_budget_left_untested(budget, held_out, starts):
     """The previous model may be the mean of two plants, too, and foretell as well as before."""
     tracker = Tracker(Settings(budget=budget, held_out=held_out))
@@ -241,7 +241,7 @@ def test_new_data_do_not_test_what_the_budget_left_untested(budget, held_out, st
         assert ('raise `budget`' if budget else 'plant changed') in verdict.reason
 
 
-@pytest.mark.parametrize('budget', [0.03, 0.04, 0.06, 0.1, 0.3, 0.0])
+@pytest.mark.parametrize('budget', [0.03, 0.1, *slow(0.04, 0.06, 0.3, 0.0)])
 def test_other_dead_times_are_looked_for_or_it_is_said(budget):
     verdict = identify(slowed(20.0, 30.0), Settings(
         budget=budget, delay=0.05, feedthrough=False)).verdict
@@ -250,7 +250,8 @@ def test_other_dead_times_are_looked_for_or_it_is_said(budget):
     assert 'ead times of' in verdict.reason or 'whether other dead times' in verdict.reason
 
 
-@pytest.mark.parametrize('settings', [Settings(refine=False), Settings(method='ct-pbsid')])
+@pytest.mark.parametrize('settings', [
+    Settings(refine=False), *slow(Settings(method='ct-pbsid'))])
 def test_more_budget_is_not_asked_for_where_nothing_is_left_out(settings):
     """Changes are never looked for without refinement."""
     found = identify(slowed(20.0, 30.0), settings.replace(budget=0.02))
@@ -258,6 +259,7 @@ def test_more_budget_is_not_asked_for_where_nothing_is_left_out(settings):
     assert 'raise `budget`' not in ' '.join((found.verdict.reason, *found.notes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('budget', 'feedthrough'), [
     (0.5, True), (0.5, False), *slow((0.3, True), (1.0, True), (1.0, False)), pytest.param(
         0.3, False, marks=[pytest.mark.slow, pytest.mark.xfail(
@@ -279,7 +281,8 @@ def test_a_budget_holds_for_many_inputs_and_outputs(budget, feedthrough):
 
 
 @pytest.mark.parametrize(('case', 'budget'), [
-    ('6x6', 0.5), ('4x3', 0.1), ('4x3', 0.25), ('3x2', 0.25), *slow(('6x6', 0.25), ('6x6', 1.0))])
+    ('4x3', 0.1), *slow(
+        ('6x6', 0.5), ('4x3', 0.25), ('3x2', 0.25), ('6x6', 0.25), ('6x6', 1.0))])
 def test_a_budget_that_ends_the_search_gives_a_model(case, budget):
     """Dead times of few states say little of many: HD-PBSID has those that are given, too."""
     benchmark = runpy.run_path(str(BENCHMARK))

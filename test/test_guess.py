@@ -169,16 +169,16 @@ def test_a_step_comes_before_its_response(tmp_path, columns, duration, at, pole,
     assert keys(guessed(path))[0] == (('run', 'u'), ('run', 'y'))
 
 
-@pytest.mark.parametrize('seed', [1, 2, 3])
+@pytest.mark.parametrize('seed', [3, *slow(1, 2)])
 def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, capsys, seed):
     """An angle tells its rate all but exactly, but no names tell which column is which."""
     rng, step = np.random.default_rng(seed), expm(0.01 * np.array(
         [[0.0, 1.0, 0.0], [-20.0, -1.5, 40.0], [0.0, 0.0, 0.0]]))
-    u, x = np.repeat(rng.standard_normal(300), 20), np.zeros((6001, 2))
+    u, x = np.repeat(rng.standard_normal(120), 20), np.zeros((2401, 2))
     for k, value in enumerate(u):
         x[k + 1] = step[:2, :2] @ x[k] + step[:2, 2] * value
-    x = x[:-1] + rng.standard_normal((6000, 2)) * [0.01, 0.03]
-    table = np.column_stack((0.01 * np.arange(6000), x[:, 0], u, x[:, 1]))
+    x = x[:-1] + rng.standard_normal((2400, 2)) * [0.01, 0.03]
+    table = np.column_stack((0.01 * np.arange(2400), x[:, 0], u, x[:, 1]))
     np.savetxt(tmp_path / 'run.csv', table, delimiter=',', comments='', header='time,a,b,c')
     found = guessed(tmp_path / 'run.csv')
     assert set(keys(found)[:2]) == {(('run', 'b'), ('run', 'a')), (('run', 'b'), ('run', 'c'))}
@@ -302,6 +302,7 @@ def test_steps_that_wait_for_a_slow_plant_are_one_experiment(tmp_path):
     assert found.config.settings.window_length == 6000.0
 
 
+@pytest.mark.slow
 def test_windows_are_long_beside_a_dead_time(tmp_path, monkeypatch):
     """Of 120 s windows of 12 s were written: four dead times, of which "nothing follows"."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 120.0, 0.05)
@@ -375,7 +376,7 @@ def test_drive_base(base):
         guessed(base, 3)
 
 
-@pytest.mark.parametrize(('noise', 'moving'), [(0.0, True), (0.01, True), (0.01, False)])
+@pytest.mark.parametrize(('noise', 'moving'), [(0.0, True), (0.01, False), *slow((0.01, True))])
 def test_a_measured_effort_is_no_motion(tmp_path, noise, moving):
     """It only repeats the command, a tick later; but where nothing else is recorded, it is all."""
     rng, count, sent = np.random.default_rng(17), 3000, []
@@ -460,9 +461,9 @@ def test_one_topic_with_efforts(tmp_path, noise, hold):
 
 
 @pytest.mark.parametrize(('odom', 'cmd', 'stamps'), [
-    (lambda ns: ns // S * S, lambda ns: ns, ['auto', 'log']),
+    *slow((lambda ns: ns // S * S, lambda ns: ns, ['auto', 'log'])),
     (lambda ns: START, lambda ns: ns, ['auto', 'log']),
-    (lambda ns: ns + 7200 * S, lambda ns: ns, ['log', 'log']),    # local time
+    *slow((lambda ns: ns + 7200 * S, lambda ns: ns, ['log', 'log'])),   # local time
     (lambda ns: ns + 7200 * S, lambda ns: ns + 7200 * S, ['auto', 'auto'])])
 def test_headers_that_cannot_be_used_together_are_not(tmp_path, odom, cmd, stamps):
     own = {'/odom': odom, '/twist_out': cmd}
@@ -617,6 +618,7 @@ def test_try_does_all_in_one_go(base, tmp_path, capsys, monkeypatch):
     assert '--params res/params.yaml --interval 9.9:' in report
 
 
+@pytest.mark.slow
 def test_try_takes_the_time_that_it_is_told(tmp_path, capsys, monkeypatch):
     rng, time = np.random.default_rng(8), np.arange(0.0, 800.0, 2.0)
     u = moves(rng, len(time), 10)
@@ -681,6 +683,7 @@ def test_units_are_those_of_message_types_not_of_names(tmp_path):
     assert [c.unit for c in read_config(str(tmp_path / 'p.yaml')).channels] == ['V', "it's °/s"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('turn', [360.0, 2.0 * math.pi])
 def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, capsys, monkeypatch, turn):
     rng, time = np.random.default_rng(11), np.arange(0.0, 60.0, 0.02)

@@ -229,6 +229,7 @@ def test_a_log_of_px4_is_guessed_from_torque_to_rate(tmp_path, seed):
                       f'vehicle_angular_velocity xyz[{axis}]')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('names', [('u', 'y'), ('command', 'angle')])
 def test_a_table_of_a_loop_has_the_command_that_is_held(tmp_path, monkeypatch, capsys, names):
     """An unstable plant under a sampled controller, whose set point jumps."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from functools import lru_cache
 
+from marks import slow
 import mpmath
 import numpy as np
 import pytest
@@ -54,13 +55,14 @@ def test_largest_values_are_those_of_the_airy_limit():
     np.testing.assert_allclose(values, largest(nmax)[n], rtol=5e-3)
 
 
-@pytest.mark.parametrize('x', ARGUMENTS)
+@pytest.mark.parametrize('x', [*ARGUMENTS[::4], *slow(*(
+    x for k, x in enumerate(ARGUMENTS) if k % 4))])
 def test_values_are_those_of_mpmath_up_to_order_5000(x):
     error = np.abs(hermite_functions(5000, np.array([x]))[:, 0] - truth(5000, x))
     assert (error / largest(5000)).max() < 1e-12
 
 
-@pytest.mark.parametrize('nmax', [1, 2, 744, 746, 5000])
+@pytest.mark.parametrize('nmax', [1, 2, 744, 746, *slow(5000)])
 def test_values_about_the_turning_point(nmax):
     turning = np.sqrt(2.0 * nmax + 1.0)
     for x in turning + np.array([-3.0, -0.5, 0.0, 0.2, 4.0]):

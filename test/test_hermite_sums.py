@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import tracemalloc
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -54,7 +55,7 @@ def stamps(kind: str, nmax: int, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize('kind', ['uniform', 'jittered', 'unsorted', 'bursts', 'turning points',
                                   'far beyond'])
-@pytest.mark.parametrize('nmax', [1, 8, 60, 101, 300, 812, 1201, 1800])
+@pytest.mark.parametrize('nmax', [1, 60, 300, *slow(8, 101, 812, 1201, 1800)])
 def test_they_are_those_of_the_functions_at_the_samples(kind, nmax):
     x = stamps(kind, nmax, 2000)
     weights = np.vstack((np.random.default_rng(0).standard_normal(len(x)), np.ones(len(x)),
@@ -156,7 +157,7 @@ def test_arguments_are_left_alone():
 @LONG
 @pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
 @pytest.mark.parametrize('kind', ['uniform', 'jittered', 'close', 'gap', 'inside'])
-@pytest.mark.parametrize('margin', [0.0, 5.0, 20.0])
+@pytest.mark.parametrize('margin', [5.0, *slow(0.0, 20.0)])
 def test_signals_of_any_hold_lose_nothing(hold, kind, margin, monkeypatch):
     rng, nmax = np.random.default_rng(6), 300
     t = np.linspace(-0.1, 10.1, 1500)

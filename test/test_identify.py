@@ -138,6 +138,7 @@ def test_the_plain_subspace_estimate(record):
     assert 'noise' not in {c.name for c in plain.choices}
 
 
+@pytest.mark.slow
 def test_the_form_of_the_paper():
     rest = paper(np.random.default_rng(0), 'hd52', 50)
     settings = Settings(edges='paper', order=3, nmax=300, beta=3.0, gamma=30.0, past=3,
@@ -267,6 +268,7 @@ def test_dead_time_set_by_hand():
     assert wrong.fit.max() < right.fit.min() - 5.0
 
 
+@pytest.mark.slow
 def test_dead_times_stay_with_their_inputs_where_some_do_not_move():
     rng = np.random.default_rng(3)
     p = random_plant(rng, 2, 1, 2)
@@ -293,7 +295,7 @@ def test_a_dead_time_of_each_input():
 
 
 @pytest.mark.parametrize(('nu', 'ny', 'n'), [
-    (2, 3, 4), *slow((1, 1, 2), (1, 1, 1), (1, 1, 4), (2, 3, 1), (2, 3, 2))])
+    (1, 1, 2), *slow((2, 3, 4), (1, 1, 1), (1, 1, 4), (2, 3, 1), (2, 3, 2))])
 def test_noise_free_data_give_the_plant(n, nu, ny):
     rng = np.random.default_rng(n)
     p = random_plant(rng, n, nu, ny, feedthrough=n == 2)
@@ -393,7 +395,7 @@ def test_a_window_with_too_few_samples():
         assert found.model is None
 
 
-@pytest.mark.parametrize(('end', 'share'), [(4.1, '1.1 %'), (9.0, '50 %')])
+@pytest.mark.parametrize(('end', 'share'), [(4.1, '1.1 %'), *slow((9.0, '50 %'))])
 def test_gaps_of_outputs_are_survived_and_noted(end, share):
     """Half of the samples tell as much as a record of half the length."""
     rng = np.random.default_rng(7)
@@ -479,8 +481,8 @@ def nasty(kind: str, rng) -> Record:
     return Record.from_arrays(t, u, t, y, input_hold='zoh')
 
 
-NASTY = ('output is twice there', 'one step', 'huge', 'blows up')
-NASTY_TOO = ('two input samples', 'bursts', 'one spike', 'tiny', 'random walk',
+NASTY = ('output is twice there', 'one step', 'huge')
+NASTY_TOO = ('blows up', 'two input samples', 'bursts', 'one spike', 'tiny', 'random walk',
              'output is the input', 'input is twice there', 'coarse steps', 'ramp', 'steady sine',
              'more channels than sense', 'microseconds', 'years', 'noise in both')
 
@@ -498,7 +500,7 @@ def test_no_data_raise(kind):
             assert len(found.pole_std) == model.n
 
 
-@pytest.mark.parametrize('order', [7, *slow(1, 20, 50)])
+@pytest.mark.parametrize('order', [1, *slow(7, 20, 50)])
 def test_any_order_may_be_asked_for(order):
     found = identify(window('hd51'), QUICK.replace(order=order))
     assert either(found) is None or either(found).n == order
@@ -603,7 +605,8 @@ def test_bursts_of_noise_do_not_fake_a_fit():
 
 
 @pytest.mark.filterwarnings('error::RuntimeWarning')
-@pytest.mark.parametrize('size', [1e160, 1e300, 1.7e308, 1e-160, 1e-300, 5e-324])
+@pytest.mark.parametrize('size', [
+    1e160, 1e300, 1.7e308, 5e-324, *slow(1e-160, 1e-300)])
 def test_absurd_sizes_are_said_and_end_nothing(size):
     rng, t = np.random.default_rng(5), np.arange(1000) * 0.02
     u, y = np.repeat(rng.choice([-1.0, 1.0], 50), 20), np.zeros(1000)

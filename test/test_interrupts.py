@@ -66,7 +66,8 @@ def length(words: list[object], folder: Path) -> float:
     return time.monotonic() - begin
 
 
-@pytest.mark.parametrize(('words', 'moments'), [(READ, 3), *slow((READ, 40), (IDENTIFY, 25))],
+@pytest.mark.parametrize(('words', 'moments'), [
+    (READ, 2), *slow((READ, 3), (READ, 40), (IDENTIFY, 25))],
                          ids=lambda value: str(value if isinstance(value, int) else value[0]))
 def test_ctrl_c_ends_a_command_at_any_moment(words, moments, tmp_path):
     folders = (tmp_path / str(number) for number in count())

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from time import thread_time
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -92,7 +93,7 @@ def test_controller_knows_the_trim():
     np.testing.assert_allclose(drift, ROLL.B @ u, atol=1e-9)
 
 
-@pytest.mark.parametrize('delay', [0.0, 0.4])
+@pytest.mark.parametrize('delay', [0.0, *slow(0.4)])
 def test_disc_margin_is_the_smallest_destabilising_perturbation(delay):
     """f = (1 + m/2) / (1 - m/2) with complex m on the loop: the first |m| with 1 + f L = 0."""
     model, weights = replace(ROLL, delay=(delay,)), Weights((0.3,), (0.1,))
@@ -184,6 +185,7 @@ def test_poles_that_cannot_be_moved_one_by_one_are_refused():
     assert 'so close together' in found.verdict
 
 
+@pytest.mark.slow
 def test_all_corners_of_six_poles_do_not_take_long():
     """In units of what four poles take, which have a ninth of the corners: 7 to 9 of them."""
     rng, seconds = np.random.default_rng(0), []

@@ -27,7 +27,7 @@ def test_spoilt_recordings_give_messages_or_a_reason(kind, count):
 
 
 @pytest.mark.parametrize(('flips', 'blocks'), [(60, 20), *slow((700, 170))])
-@pytest.mark.parametrize('kind', CHECKED)
+@pytest.mark.parametrize('kind', ['zstd', *slow('lz4', 'none')])
 def test_with_checksums_nothing_is_wrong_or_missing_and_not_said(tmp_path, kind, flips, blocks):
     """Bits that are others, and blocks of zeros, anywhere in the file, its summary included."""
     path = CHECKED[kind](tmp_path)

@@ -18,6 +18,7 @@ from bag_fixtures import (
     write_ros1,
     write_rosbag2,
 )
+from marks import slow
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -227,7 +228,8 @@ def in_ros1(sent: list[Sent]) -> list[Sent]:
     return [other(one) for one in sent]
 
 
-@pytest.mark.parametrize('container', ['mcap', 'sqlite3', 'packed', 'ros1', 'two files'])
+@pytest.mark.parametrize('container', [
+    'mcap', 'two files', *slow('sqlite3', 'packed', 'ros1')])
 def test_of_two_publishers_and_a_changed_order_the_joint_is_read(tmp_path, container):
     sent = arm()
     path = {

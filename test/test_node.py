@@ -124,6 +124,7 @@ def test_diagnostics_tell_latency_and_counts(flight):
     assert int(identification.values['window end [ns]']) == node.estimates()[-1].end_ns
 
 
+@pytest.mark.slow
 def test_a_changed_plant_is_seen_within_two_windows_and_what_is_rejected_says_so(live):
     node = live.identifier(params('ingest.timeout: 60.0\nwindow.stride: 2.0'))
     made = motion(16.5, phases=((0.0, SOFT), (6.5, STIFF)))

@@ -79,6 +79,7 @@ def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
     assert node.program.alive
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGTERM, *slow(signal.SIGINT)])
 def test_a_signal_breaks_off(live, number):
     node, _ = busy(live)

@@ -33,6 +33,7 @@ def live(tmp_path):
         yield made
 
 
+@pytest.mark.slow
 def test_windows_of_two_publishers_are_never_good(live, tmp_path):
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(
@@ -82,6 +83,7 @@ def test_topics_that_fell_silent_leave_nothing_that_is_well(live):
     assert said.message.startswith('no messages come in, see ingest; of the last window: ')
 
 
+@pytest.mark.slow
 def test_where_no_window_comes_any_more_nothing_is_well(live):
     """Both channels are dead, and both topics alive: no window comes that could say so."""
     node = live.identifier(params('ingest.timeout: 1.0', length=2.0))
@@ -107,6 +109,7 @@ def test_where_no_window_comes_any_more_nothing_is_well(live):
     assert (said.level, said.values['verdict']) == (Level.OK, 'GOOD')
 
 
+@pytest.mark.slow
 def test_a_cause_that_only_the_ingest_knows_is_told_beside_the_verdict(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
     robot = Robot(live, motion(12.0), node.name)
@@ -123,6 +126,7 @@ def test_a_cause_that_only_the_ingest_knows_is_told_beside_the_verdict(live):
     assert 'raise `window.max_delay`' in said.message
 
 
+@pytest.mark.slow
 def test_header_stamps_that_become_zero_are_told_with_a_cure_that_helps(live):
     node = live.identifier(params('ingest.timeout: 60.0', length=2.0))
     robot = Robot(live, motion(2.6), node.name)
@@ -138,6 +142,7 @@ def test_header_stamps_that_become_zero_are_told_with_a_cure_that_helps(live):
             '`torque.stamp` to log') in said.message
 
 
+@pytest.mark.slow
 def test_after_a_reset_no_window_is_full(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
     Robot(live, motion(4.6), node.name).send(4.6)

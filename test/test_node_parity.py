@@ -88,6 +88,7 @@ class Arm(Robot):
                 publisher.publish(message)
 
 
+@pytest.mark.slow
 def test_joints_by_name_are_those_of_their_publisher_live_and_again(live, tmp_path):
     path = tmp_path / 'arm.mcap'
     text = params(f"order: 2\ningest.record: '{path}'", imu='/joints', length=3.0)

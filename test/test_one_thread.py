@@ -13,7 +13,7 @@ from plants import paper
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from ctsid_core import identify
+from ctsid_core import Record, identify
 from ctsid_core.effort import Cancelled
 from ctsid_core.linear.one_thread import VARIABLES, one_thread
 
@@ -32,6 +32,11 @@ def several(monkeypatch):
         yield
 
 
+def short() -> Record:
+    """Return a record of few samples, for any will do."""
+    return paper(np.random.default_rng(0), 'hd51', 20, count=201)
+
+
 def test_while_a_model_is_identified():
     seen = set()
 
@@ -39,7 +44,7 @@ def test_while_a_model_is_identified():
         seen.update(threads())
         return False
 
-    record = paper(np.random.default_rng(0), 'hd51', 20)
+    record = short()
     found = identify(record, cancelled=look)
     assert seen == {1}
     assert threads() == {3}
@@ -62,7 +67,7 @@ def test_where_the_environment_says_so_no_library_is_looked_for(monkeypatch):
 
 
 def test_other_threads_leave_what_they_found():
-    record, ready = paper(np.random.default_rng(0), 'hd51', 20), Barrier(3)
+    record, ready = short(), Barrier(3)
 
     def other() -> None:
         ready.wait()

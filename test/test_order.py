@@ -39,15 +39,15 @@ def chosen(p, snr, seed=0) -> int:
 
 
 @pytest.mark.parametrize(('nu', 'ny', 'n'), [
-    (1, 1, 3), (2, 3, 2), (2, 3, 5), *slow(
-        *((1, 1, n) for n in (1, 2, 4, 5, 6)), *((2, 3, n) for n in (1, 3, 4, 6)))])
+    (1, 1, 3), (2, 3, 2), *slow(
+        (2, 3, 5), *((1, 1, n) for n in (1, 2, 4, 5, 6)), *((2, 3, n) for n in (1, 3, 4, 6)))])
 def test_the_order_of_clean_plants(n, nu, ny):
     p = random_plant(np.random.default_rng(n), n, nu, ny)
     assert chosen(p, 60, n) == n
 
 
 @pytest.mark.parametrize(('nu', 'n', 'seeds'), [
-    (2, 8, (51, 53, 55)), (1, 8, (52, 55)), (1, 7, (71,)),
+    *slow((2, 8, (51, 53, 55)), (1, 8, (52, 55))), (1, 7, (71,)),
     *slow((1, 7, range(60, 80)), (2, 8, range(60, 80)))])
 def test_plants_of_many_resonances_are_found(nu, n, seeds):
     """
@@ -64,7 +64,7 @@ def test_plants_of_many_resonances_are_found(nu, n, seeds):
     assert np.mean(np.array(left) < 0.5) >= 0.9
 
 
-@pytest.mark.parametrize('seed', [51, 53, 55, 59])
+@pytest.mark.parametrize('seed', [53, *slow(51, 55, 59)])
 def test_orders_that_hd_pbsid_does_not_see_hide_no_smaller_ones(seed):
     """Of 400 samples it has no model of 30 states; was it not asked for fewer, 7 % was left."""
     p = random_plant(np.random.default_rng(seed), 8, 1, 1)
@@ -137,8 +137,8 @@ def test_a_short_window_gives_no_model():
     assert Subspaces(window(PLANTS['hd52'], nmax=8), Settings()).tunings(3) == []
 
 
-@pytest.mark.parametrize(('name', 'snr'), [('hd51', 10), ('hd52', 10), *slow(
-    ('hd51', 40), ('hd52', 40), ('flexible', 10), ('flexible', 40))])
+@pytest.mark.parametrize(('name', 'snr'), [('hd51', 10), *slow(
+    ('hd52', 10), ('hd51', 40), ('hd52', 40), ('flexible', 10), ('flexible', 40))])
 def test_stable_plants_give_stable_models(name, snr):
     p = PLANTS[name]
     record = running(np.random.default_rng(0), p, snr, rate=200.0, band=5.0)
@@ -187,11 +187,12 @@ def test_the_order_is_found_in_95_of_100_runs(name):
     assert right >= 95
 
 
-def test_poles_that_stand_for_feedthrough_give_way_to_it():
+@pytest.mark.parametrize('seeds', [1, *slow(2)])
+def test_poles_that_stand_for_feedthrough_give_way_to_it(seeds):
     """At 50 dB a further fast pole is likelier; with D none of them is needed."""
     p = PLANTS['hd52']
-    found = [identify(running(np.random.default_rng(seed), p, 50)) for seed in range(2)]
-    assert [e.settings.order for e in found] == [3, 3]
+    found = [identify(running(np.random.default_rng(seed), p, 50)) for seed in range(seeds)]
+    assert [e.settings.order for e in found] == [3] * seeds
     assert all(e.model.D.any() for e in found)
 
 
@@ -207,9 +208,8 @@ def slung_load(rng, duration: float) -> tuple[Plant, Record]:
 
 
 @pytest.mark.parametrize(('feedthrough', 'duration', 'seed'), [
-    (False, 60.0, 1), (True, 120.0, 4),
-    *slow(*((d, t, s) for d, t in ((False, 60.0), (True, 120.0)) for s in range(2, 10)
-            if (t, s) != (120.0, 4)))])
+    (False, 60.0, 1),
+    *slow(*((d, t, s) for d, t in ((False, 60.0), (True, 120.0)) for s in range(2, 10)))])
 def test_a_resonance_of_little_damping_is_found(feedthrough, duration, seed):
     """
     It makes 6 % of the motion, beside noise of 10 %; a grid of poles steps over it.
@@ -240,6 +240,7 @@ def arm(rng, duration: float, rate: float) -> tuple[Plant, Record]:
     return p, Record.from_arrays(t, u, t, noisy(rng, y, 25), input_hold='zoh')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('feedthrough', 'seed'), [
     (False, 1), (True, 2), *slow(*((d, s) for d in (False, True) for s in range(3, 9)))])
 def test_resonances_in_a_long_record_are_all_found(feedthrough, seed):

@@ -126,6 +126,7 @@ def test_verdict_and_command_come_first(folder):
     assert markdown_text.index('**GOOD.**') < markdown_text.index('## ')
 
 
+@pytest.mark.slow
 def test_residuals_of_predictions_are_of_one_kind(tmp_path, capsys):
     """
     What is white by the table is white in the figure: both are of predictions one ahead.

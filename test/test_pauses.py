@@ -111,7 +111,7 @@ def test_samples_that_come_in_bursts_are_no_parts():
     assert between_pauses(bursts) == (bursts,)
 
 
-@pytest.mark.parametrize('period', [0.1, 0.2, 0.25])
+@pytest.mark.parametrize('period', [0.25, *slow(0.1, 0.2)])
 def test_clumps_of_arrival_are_no_parts(period):
     """All that arrives at a time is of some milliseconds: none is an experiment."""
     for seed in range(3):
@@ -224,7 +224,7 @@ def test_a_change_in_a_pause_is_told_with_its_time():
 
 
 @pytest.mark.parametrize(('seed', 'pauses'), [
-    (9, ((3.0, 3.3), (8.0, 8.3))), (2, ((2.0, 2.2), (6.3, 6.5), (9.0, 9.2)))])
+    (9, ((3.0, 3.3), (8.0, 8.3))), *slow((2, ((2.0, 2.2), (6.3, 6.5), (9.0, 9.2))))])
 def test_a_change_between_pauses_is_told_with_its_time(seed, pauses):
     """Beside parts all of another plant; their own states imitated it, and it was GOOD."""
     given = moved(seed, gain=lambda t: 1.0 if t < 6.0 else 1.6)

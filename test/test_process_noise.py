@@ -114,6 +114,7 @@ def test_robots_under_their_controllers_are_predicted_as_by_the_true_filter(
     assert (own < measure * best).all()
 
 
+@pytest.mark.slow
 def test_a_sample_is_not_put_before_its_record():
     """In closed loop samples go to the input just before them: that may lie before the start."""
     given = experiment('rates-1x1', 8, 5)
@@ -194,7 +195,7 @@ def test_one_sample_of_an_output_has_no_interval():
     assert thin.interval == 36.0
 
 
-@pytest.mark.parametrize('feedthrough', [True, False])
+@pytest.mark.parametrize('feedthrough', [True, *slow(False)])
 def test_an_output_that_rests_but_for_spikes_is_an_output_that_rests(feedthrough):
     """An event flag beside a plant in gusts: its spikes are hidden, and nothing is left."""
     record = experiment('turbulence-strong', 4, 3).record
@@ -208,6 +209,7 @@ def test_an_output_that_rests_but_for_spikes_is_an_output_that_rests(feedthrough
     assert not identify(alone, Settings(feedthrough=feedthrough)).good
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(reason='four or six states at the fastest pole and a dead time by which jumps '
                    'come before both spikes: WEAK; without D on some processors only')
 @pytest.mark.parametrize('feedthrough', [True, False])
@@ -222,7 +224,7 @@ def test_spikes_alone_are_no_output(feedthrough):
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'measure'), [
-    ('cart-pole', 19, 1, 1.0), ('rates-4x3', 18, 5, 1.0)])
+    ('cart-pole', 19, 1, 1.0), *slow(('rates-4x3', 18, 5, 1.0))])
 def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, number, measure):
     """
     Errors at three horizons over those of regression or the true filter, on a second flight.
@@ -238,7 +240,7 @@ def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, numb
     assert ratios.max() < measure
 
 
-@pytest.mark.parametrize(('seed', 'least'), [(1, 25.0), (10, 40.0)])
+@pytest.mark.parametrize(('seed', 'least'), [(1, 25.0), *slow((10, 40.0))])
 def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_the_rest(seed, least):
     """Output error of the rest follows what disturbs it: -2 and 23 %. Poles are -1 +- 2.83i."""
     rng, h = np.random.default_rng(seed), 0.02
@@ -257,8 +259,9 @@ def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_the_rest(seed, le
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'least'), [
-    ('turbulence-weak', 3, 5, 90.0), ('second-input', 39, 1, 92.0),
-    *slow(('turbulence-strong', 38, 4, 92.0), ('turbulence-weak', 3, 6, 95.0))])
+    ('turbulence-weak', 3, 5, 90.0), *slow(
+        ('second-input', 39, 1, 92.0), ('turbulence-strong', 38, 4, 92.0),
+        ('turbulence-weak', 3, 6, 95.0))])
 def test_a_disturbed_plant_has_as_a_rule_one_verdict(family, seed, number, least):
     """
     Whether D may be or not: found by predictions, judged by simulation.
@@ -280,8 +283,8 @@ def test_a_disturbed_plant_has_as_a_rule_one_verdict(family, seed, number, least
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
     ('sliding-mass', 38, 5), *slow(('motor-position', 37, 0)),
-    pytest.param('sliding-mass', 37, 4, marks=pytest.mark.xfail(
-        reason='10 dB: a dead time of 0.57 s is not kept, the response known to 13 %: WEAK'))])
+    pytest.param('sliding-mass', 37, 4, marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='10 dB: a dead time of 0.57 s is not kept, the response known to 13 %: WEAK')])])
 def test_an_integrator_is_simulated_whatever_is_known_of_its_loop(family, seed, number):
     """
     With `feedthrough: false` all were predicted, WEAK, one without its second state.
@@ -303,7 +306,7 @@ def test_a_drift_is_no_change_to_predictions_either():
     assert np.mean(simulated(found.model, given.test)) > 97.0
 
 
-@pytest.mark.parametrize(('seed', 'reachable'), [(41, 95.2), (42, 94.8)])
+@pytest.mark.parametrize(('seed', 'reachable'), [(41, 95.2), *slow((42, 94.8))])
 def test_a_gain_that_drifts_does_not_grow(seed, reachable):
     """
     A sweep: modes that grow by 2.1 and 2.5 rad/s predict it to 99 and 97.5 %, up to 0.5 s ahead.
@@ -345,8 +348,9 @@ def flown_again(given) -> Record:
 
 
 @pytest.mark.parametrize(('family', 'number'), [
-    ('quadratic-drag', 2), pytest.param('saturation-30', 4, marks=pytest.mark.xfail(
-        reason='of its own record a model fits 98 %, that of both 93: REJECT, CHANGED')),
+    ('quadratic-drag', 2),
+    pytest.param('saturation-30', 4, marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='of its own record a model fits 98 %, that of both 93: REJECT, CHANGED')]),
     *slow(('quadratic-drag', 4))])
 def test_a_plant_that_is_not_linear_is_one_plant(family, number):
     """Drag is told by curves of both records, whatever their noise is, not by another plant."""
@@ -356,10 +360,10 @@ def test_a_plant_that_is_not_linear_is_one_plant(family, number):
 
 
 @pytest.mark.parametrize(('family', 'number', 'calm'), [
-    ('clock-drift', 1, False), ('jittering-delay', 2, False),
-    pytest.param('dead-zone', 4, True, marks=pytest.mark.xfail(
-        reason='eight states, 97 %, of the part held out 89 %: WEAK, whatever is known of D')),
-    ('turbulence-strong', 2, False), ('turbulence-weak', 2, False)])
+    ('clock-drift', 1, False), ('turbulence-weak', 2, False),
+    pytest.param('dead-zone', 4, True, marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='eight states, 97 %, of the part held out 89 %: WEAK, whatever is known of D')]),
+    *slow(('jittering-delay', 2, False), ('turbulence-strong', 2, False))])
 def test_what_disturbs_a_record_is_no_change_of_the_plant(family, number, calm):
     """
     Each record has a predictor of its own, and one in calm air is simulated.
@@ -403,9 +407,10 @@ def test_a_plant_that_hardly_grows_is_simulated():
     assert np.max(found.model.poles.real) < 1e-3
 
 
-@pytest.mark.parametrize('feedthrough', [False, pytest.param(True, marks=pytest.mark.xfail(
-    reason='a simulation with an integrator leaves 47 %, less than half: WEAK, and the reason '
-           'says to set `feedthrough: false`'))])
+@pytest.mark.parametrize('feedthrough', [False, pytest.param(True, marks=[
+    pytest.mark.slow, pytest.mark.xfail(
+        reason='a simulation with an integrator leaves 47 %, less than half: WEAK, and the '
+               'reason says to set `feedthrough: false`')])])
 def test_an_unstable_plant_under_its_controller_is_told_to_be_one(feedthrough):
     """With D free it was simulated with a mode on the axis: REJECT, 411 % of the motion left."""
     rng, h = np.random.default_rng(1), 0.01
@@ -441,7 +446,7 @@ def test_states_do_not_imitate_what_nobody_measured(seed, number, least):
     10.0, 1, marks=[pytest.mark.slow, pytest.mark.xfail(
         strict=False, reason='simulates 97.9 % with eight states, WEAK: untested, for the parts '
         'that are learnt give no such model')])])
-@pytest.mark.parametrize('feedthrough', [False, True])
+@pytest.mark.parametrize('feedthrough', [True, *slow(False)])
 def test_noise_that_a_filter_has_passed_does_not_cost_the_plant(feedthrough, edge, seed):
     """
     Of a driver that filters what it sends hardly anything is left at high frequencies.
@@ -464,6 +469,7 @@ def test_noise_that_a_filter_has_passed_does_not_cost_the_plant(feedthrough, edg
     assert simulation(found.model, run(seed + 100, 0.0), trim='refit').fit.min() > 95.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
     ('turbulence-weak', 3, 5), ('second-input', 39, 1),
     *slow(('turbulence-strong', 38, 4))])

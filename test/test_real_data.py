@@ -167,11 +167,13 @@ def test_a_walking_joint_is_not_good(data_folder, joints, joint, start, end):
     assert estimate.verdict.grade is not Grade.GOOD
 
 
+@pytest.mark.slow
 def test_what_does_not_grow_is_not_good_by_its_predictions(data_folder, joints):
     """A walk and a lying down: a mode of it seems to grow, and predicts to 92 %."""
     assert identify(joints(data_folder, [5], 0.0, 15.0)).verdict.grade is not Grade.GOOD
 
 
+@pytest.mark.slow
 def test_predictions_are_no_way_out_where_any_order_simulates(data_folder, joints):
     """The order that is chosen leaves more than half of the motion, larger ones do not."""
     estimate = identify(joints(data_folder, [8], 6.2, 10.2))

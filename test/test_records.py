@@ -228,10 +228,10 @@ def test_short_records_that_are_nothing_by_themselves():
     assert found.held_out_fit[0] > 60.0
 
 
-@pytest.mark.parametrize('count', [20, 40])
-def test_short_records_beside_a_long_one_buy_no_states(count):
+@pytest.mark.parametrize(('count', 'seeds'), [(20, 1), *slow((20, 4), (40, 4))])
+def test_short_records_beside_a_long_one_buy_no_states(count, seeds):
     """Their noise, of so few samples, is easily fitted; records count by their samples."""
-    for seed in range(4):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         lag = plant([[-2.0]], [[2.0]], [[1.0]])
         records = [held(rng, lag, 50.0, 50.0, snr=20.0, duration=samples / 50.0)
@@ -274,6 +274,7 @@ def test_noise_in_one_of_two_records_is_no_change(seed):
     assert identify(records, QUICK).status is Status.OK
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
 def test_a_short_record_of_another_plant_is_not_divided(seed):
     """Smaller models find an instant within it that costs a little more."""
@@ -287,7 +288,7 @@ def test_a_short_record_of_another_plant_is_not_divided(seed):
     assert found.statistics['change_record'] == 2.0
 
 
-@pytest.mark.parametrize('rests', [0, 1])
+@pytest.mark.parametrize('rests', [1, *slow(0)])
 def test_an_output_at_rest_in_one_record_does_not_hide_a_plant_that_grows(rests):
     """Its predictions have no motion to be compared with."""
     rng, h, records = np.random.default_rng(2), 0.02, []
@@ -309,6 +310,7 @@ def test_an_output_at_rest_in_one_record_does_not_hide_a_plant_that_grows(rests)
     assert np.max(found.model.poles.real) == pytest.approx(0.6, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [3, *slow(*range(4, 9), 10, 11), pytest.param(
     9, marks=[pytest.mark.slow, pytest.mark.xfail(
         reason='the model of all fits the calm record to 73 %, one of its own to 99')])])
@@ -344,6 +346,7 @@ def test_two_records_of_different_plants_are_not_accepted():
     assert 'of record ' in found.verdict.reason
 
 
+@pytest.mark.slow
 def test_a_plant_that_changes_within_one_record_is_told():
     p, rng = PLANTS['hd51'], np.random.default_rng(8)
     records = [trimmed(rng, p, [8.0], [100.0], [20])[0][0] for _ in range(3)]
@@ -429,7 +432,8 @@ def axes_in_turn(number: int, sizes: tuple[float, ...]) -> list[Record]:
     return records
 
 
-@pytest.mark.parametrize('sizes', [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3)])
+@pytest.mark.parametrize('sizes', [
+    *slow(((1.0, 1.0),)), (1e3, 1.0), *slow(((1.0, 1e3),))])
 def test_axes_may_move_one_in_each_record_in_any_unit(sizes):
     found = identify(axes_in_turn(2, sizes))
     assert found.good, found.verdict.reason
@@ -437,13 +441,14 @@ def test_axes_may_move_one_in_each_record_in_any_unit(sizes):
     assert all(one.own > 0.9 for one in found.verdict.excitation)
 
 
+@pytest.mark.slow
 def test_of_many_records_no_axis_is_held_out_as_a_whole():
     found = identify(axes_in_turn(4, (1.0,) * 4))
     assert found.good, found.verdict.reason
     assert np.all(found.held_out_fit > found.fit - 1.0)
 
 
-@pytest.mark.parametrize('noises', [(0.02, 0.2), (0.2, 0.02)])
+@pytest.mark.parametrize('noises', [(0.02, 0.2), *slow(((0.2, 0.02),))])
 def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises, monkeypatch):
     """
     A plant that grows, held by a controller: noise of 0.2 explains what predictions miss.
@@ -485,6 +490,7 @@ def lag_and_pair(t: np.ndarray, u: np.ndarray) -> np.ndarray:
     return held_response(plant(A, [[2.0], [0.0], [w * w]], [[1.0, 0.4, 0.0]]), t, u, t)
 
 
+@pytest.mark.slow
 def test_what_is_known_is_asked_in_many_records_as_far_as_in_one():
     """Twelve of 10 s, in noise that hides the pair: the band ends beyond it, and it is WEAK."""
     rng, t, records = np.random.default_rng(1), 0.01 * np.arange(1000), []
@@ -497,7 +503,7 @@ def test_what_is_known_is_asked_in_many_records_as_far_as_in_one():
     assert not found.good
 
 
-@pytest.mark.parametrize('seed', [0, 4, 10])
+@pytest.mark.parametrize('seed', [4, *slow(0, 10)])
 def test_noise_of_many_short_records_is_no_drift(seed):
     """The largest of 30 by chance: 27 to 35 % of the motion of its record, 5 to 6 % of all."""
     rng, t, records = np.random.default_rng(seed), 0.1 * np.arange(40), []
@@ -511,6 +517,7 @@ def test_noise_of_many_short_records_is_no_drift(seed):
     assert 'he plant drifts' not in found.verdict.reason
 
 
+@pytest.mark.slow
 def test_a_slow_record_of_one_sine_does_not_count_for_all():
     """Beside one at ten times its rate that moves at many frequencies, as far and as long."""
     rng, records = np.random.default_rng(0), []

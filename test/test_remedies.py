@@ -182,6 +182,7 @@ def test_what_saturates_is_not_advised_to_move_more():
     assert 'take a part of the data in which it moves less' in reason
 
 
+@pytest.mark.slow
 def test_a_simulation_at_half_the_speed_is_to_be_recorded_by_its_own_clock(tmp_path):
     """`ctsid info` was named, which says nothing more; with the right clock it is the plant."""
     def recorded(rate: float) -> list[Sent]:

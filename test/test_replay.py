@@ -329,6 +329,7 @@ def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
             Replay(bag, CONFIG).run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('delay', ['auto', 0.5])
 def test_an_interval_has_the_windows_that_all_of_the_bag_has_there(tmp_path, delay):
     rng, t = np.random.default_rng(0), np.arange(2001) / 100.0

@@ -137,6 +137,7 @@ class Heard:
                          for m in list(self.samples)])
 
 
+@pytest.mark.slow
 def test_the_node_flies_in_time_changes_and_catches_up(live):
     heard = Heard(live)
     robot = live.start('-m', ROBOT, '--ros-args', '-p', 'seed:=3', '-p', 'change_after:=2.0',

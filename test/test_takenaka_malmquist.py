@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from marks import slow
 import numpy as np
 import pytest
 from scipy.integrate import quad_vec, solve_ivp
@@ -93,7 +94,7 @@ def test_commuting_matrices(name):
 
 
 @pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
-@pytest.mark.parametrize('name', ['spread', 'laguerre', 'pairs'])
+@pytest.mark.parametrize('name', ['pairs', *slow('spread', 'laguerre')])
 def test_response_is_that_of_the_differential_equation(name, hold):
     rng = np.random.default_rng(3)
     basis = chain(SEQUENCES[name])

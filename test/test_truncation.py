@@ -120,6 +120,7 @@ def test_every_complete_message_of_a_file_that_is_cut_off(tmp_path, kind, count)
     assert max(recovered) > 0.8 * len(sound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('count', CUTS)
 @pytest.mark.parametrize('page', [512, *slow(4096)])
 def test_every_complete_message_of_a_database_that_is_cut_off(tmp_path, page, count):

@@ -223,12 +223,14 @@ def turned(axis: int):
                                  ('sensor_combined', 'gyro_rad'))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('axis', [2, *slow(0, 1)])
 def test_an_excited_axis_is_found_in_a_px4_log(tmp_path, axis):
     """Not what the takeoff moved as well, once, nor the setpoint of the loop around it."""
     assert first_pair(write_px4_log(tmp_path / 'log.ulg', axis, axis=axis)) in turned(axis)
 
 
+@pytest.mark.slow
 def test_a_real_px4_log_offers_a_torque_and_what_it_turns(data_folder):
     """A hover in PX4's simulation, without an experiment."""
     assert first_pair(data_folder / 'ulog/sample_px4_events.ulg') in turned(2)

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 from plants import moved_before
 import pytest
@@ -241,7 +242,7 @@ def test_an_unknown_option_and_other_channels_are_refused():
             prediction(STABLE, record, horizon)
 
 
-@pytest.mark.parametrize('split', [False, True])
+@pytest.mark.parametrize('split', [False, *slow(True)])
 @pytest.mark.parametrize('gain', [0.0, 1.0, 1e4], ids=['K=0', 'K', 'K large'])
 def test_prediction_of_noise_free_data_is_perfect_at_any_gain(gain, split):
     model = replace(STABLE, K=gain * STABLE.K)

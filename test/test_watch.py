@@ -128,6 +128,7 @@ class Screen:
         return code
 
 
+@pytest.mark.slow
 def test_a_running_node_is_watched_until_ctrl_c(live, capfd):
     from robot import Robot, motion, params
 

@@ -11,6 +11,7 @@ import re
 
 from bag_fixtures import START, imu, write_rosbag2
 from flights import PARAMS, TRUTH, S, flight, spoilt, stamp_of
+from marks import slow
 import numpy as np
 import pytest
 from test_cross_check import first_order
@@ -98,6 +99,7 @@ def told(tmp_path_factory) -> dict[str, dict]:
     return found
 
 
+@pytest.mark.slow
 def test_a_page_over_a_bag_whose_plant_changes_begins_with_the_change(told):
     payload = told['payload']
     assert '<p class="grade">CHANGED</p>' in payload['page']
@@ -125,6 +127,7 @@ def test_a_page_over_a_bag_whose_plant_changes_begins_with_the_change(told):
         assert re.search(rf'identify payload .*--start {seen["time"]:.1f}', payload['words'])
 
 
+@pytest.mark.slow
 def test_what_is_in_no_window_at_the_end_is_said(told):
     for one, length in ((told['payload'], 22.5), (told['hung'], 14.0)):
         last = one['json']['windows'][-1]['to']
@@ -134,6 +137,7 @@ def test_what_is_in_no_window_at_the_end_is_said(told):
         assert [float(s) for s in said] == ([round(left, 1)] if left >= 0.05 else [])
 
 
+@pytest.mark.slow
 def test_a_sensor_that_hangs_is_said_before_the_model_that_was_kept(told):
     hung_ = told['hung']
     assert '<p class="grade">PARTLY</p>' in hung_['page']
@@ -146,6 +150,7 @@ def test_a_sensor_that_hangs_is_said_before_the_model_that_was_kept(told):
     assert since == pytest.approx(STUCK, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['payload', 'hung'])
 def test_one_clock_on_one_page(told, name):
     """Axes and tables count from the start of the bag; so do all sentences, wherever they are."""
@@ -163,6 +168,7 @@ def test_one_clock_on_one_page(told, name):
                for p in found['place'].glob('*.json'))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['payload', 'hung'])
 def test_one_quantity_is_one_number_in_json_table_page_report_and_model_file(told, name):
     found = told[name]
@@ -258,7 +264,7 @@ def test_the_word_for_a_bag_is_that_of_the_model_where_no_window_contradicts_it(
     assert ('(no input moves in 1)' in first.sentence) == ('NO_EXCITATION' in statuses)
 
 
-@pytest.mark.parametrize('kept', [0, 2, 4])
+@pytest.mark.parametrize('kept', [0, *slow(2, 4)])
 def test_a_plant_that_drifts_has_one_word_whichever_model_is_kept(kept):
     """A model from the middle is half as far from either end as these are from each other."""
     rng, t, u = np.random.default_rng(1), np.arange(0.0, 60.0, 0.01), np.zeros(6000)
