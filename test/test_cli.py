@@ -1217,7 +1217,6 @@ def test_blas_has_one_thread_before_numpy_comes(tmp_path):
 # --- real recordings
 
 
-@pytest.mark.slow
 def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
     """Order and dead time are given, and far too few for all that moves it."""
     bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'

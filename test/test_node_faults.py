@@ -66,7 +66,6 @@ def test_topics_that_never_appear_are_named_even_if_only_a_number_differs(live):
     assert said.values['/rotor2 messages'] == '0'
 
 
-@pytest.mark.slow
 def test_junk_is_counted_and_told_and_never_fatal(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
     robot = Robot(live, motion(6.5), node.name)

@@ -54,7 +54,6 @@ def test_the_node_is_led_through_its_states(live):
     assert node.program.end()[0] == 0
 
 
-@pytest.mark.slow
 def test_all_faults_of_configuration_and_activation_are_told_and_can_be_corrected(live):
     text = params('order: 99\nmax_order: 4\nvalidation.held_out: 0.9\ntrim: 3')
     node = live.identifier(text.replace('effort[0]', 'effort['))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bag_fixtures import IMU, START, Sent, imu, joints, write_mcap, write_rosbag2
 from flights import PARAMS, TRUTH, S, at, flight, spoilt, stamp_of, write_flight
+from marks import slow
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -329,8 +330,7 @@ def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
             Replay(bag, CONFIG).run()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('delay', ['auto', 0.5])
+@pytest.mark.parametrize('delay', ['auto', *slow(0.5)])
 def test_an_interval_has_the_windows_that_all_of_the_bag_has_there(tmp_path, delay):
     rng, t = np.random.default_rng(0), np.arange(2001) / 100.0
     u = np.repeat(rng.uniform(-1.0, 1.0, 67), 30)[:len(t)]

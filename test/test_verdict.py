@@ -137,7 +137,6 @@ def test_a_sensor_of_noise_only_among_good_ones_is_named(seed):
     assert verdict.reason.startswith('Output y2 does not follow the inputs')
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('seed', 'share'), [
     (4, 0.85), *slow((0, 0.1), (1, 0.3), (2, 0.5), (3, 0.7))])
 def test_a_sensor_that_sticks_halfway_is_named(seed, share):
