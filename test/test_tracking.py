@@ -562,3 +562,16 @@ def test_a_window_whose_sensor_has_fallen_silent_tells_nothing_of_now():
     assert 'No sample' not in run([rests], settings)[0].estimate.verdict.reason
     measured = replace(rests, inputs=(replace(rests.inputs[0], hold='linear'),))
     assert 'No sample of u1' in run([measured], settings)[0].estimate.verdict.reason
+
+
+def test_spikes_of_the_window_of_a_model_are_none_of_its_errors():
+    """Of a window without older data; ten spikes made what the model leaves a tenth of it."""
+    settings = Settings(order=1, feedthrough=False, delay=0.0)
+    whole = late_lag(0.0, 40.0)
+    y, = whole.outputs
+    values = y.values * np.where(y.time >= 20.0, 0.7, 1.0)[:, np.newaxis]
+    values[100:1000:100] += 100.0
+    spiky = replace(whole, outputs=(replace(y, values=values),))
+    before, after = run([spiky.between(1.0, 20.0), spiky.between(21.0, 40.0)], settings)
+    assert before.estimate.statistics['corrupt_samples'] == 9
+    assert 'the new data of output y1 badly' in after.estimate.verdict.reason

@@ -110,7 +110,8 @@ class Tracker:
 
     def _joined(self, past: _Past, settings: Settings, record: Record,
                 estimate: Estimate) -> Tracked:
-        test = _fresh(past, record, settings)
+        clean = without_corrupt(record, settings)[0]
+        test = _fresh(past, clean)
         if not record.faults:  # else the samples changed, not the plant
             estimate = self._reject_straddling(estimate)
         known = past.model is not None and not settings.order
@@ -122,7 +123,7 @@ class Tracker:
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
         estimate, now = _following(past, estimate, model, 2 * np.pi / record.duration)
         if self._past is past:  # else somebody has called reset() in the meantime
-            self._past = replace(now, error=_error(estimate, record))
+            self._past = replace(now, error=_error(estimate, clean))
         rows = now.rows
         return Tracked(estimate, now.realisation, rows.identities, rows.eigenvalues,
                        estimate.pole_std[list(rows.order)], test.fit, test.start_ns, test.end_ns)
@@ -178,7 +179,8 @@ def _error(estimate: Estimate, record: Record) -> Array:
     """Return the rms error with which a model simulates each output of its window, if known."""
     if estimate.by_predictions:
         return np.full(record.ny, np.nan)
-    motion = [s.values[s.rows(record.start, record.end)].std(axis=0) for s in record.outputs]
+    with np.errstate(over='ignore', invalid='ignore'):  # torn values
+        motion = [s.values[s.rows(record.start, record.end)].std(axis=0) for s in record.outputs]
     return estimate.verdict.error * np.concatenate(motion)
 
 
@@ -217,14 +219,14 @@ class _Test:
     end_ns: int = 0
 
 
-def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
+def _fresh(past: _Past, record: Record) -> _Test:
     """Test the last model on the part of a record that is later than its own window."""
     start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
     none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
     if past.model is None or past.end_ns >= end_ns:
         return none
     try:
-        found = simulation(past.model, without_corrupt(record, settings)[0])
+        found = simulation(past.model, record)
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
