@@ -10,10 +10,11 @@ import numpy as np
 from plants import held_response, noisy, plant
 import pytest
 
-from ctsid_core import Grade, Record, Settings, Signal, identify
+from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
 from ctsid_core.judge.lead import lead_of_outputs
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_ros.studies.robots.inputs import KINDS, drive
 
 SECOND = plant([[0, 1], [-20, -3]], [[0], [20]], [[1, 0]])
 LAG = plant([[-5]], [[5]], [[1]])
@@ -110,3 +111,28 @@ def test_the_dead_time_of_another_input_is_found_anew_beside_a_lead():
     found = lead_of_outputs(samples, fit, free, (True, True))
     assert found[0] == 0.0
     assert found[1] == pytest.approx(0.08, abs=0.01)
+
+
+@pytest.mark.parametrize(('late', 'kind'), [
+    (0.3, 'prbs'), (0.1, 'doublets'), (0.3, 'pilot'), *slow(
+        *((late, kind) for late in (0.1, 0.3) for kind in KINDS if (late, kind) not in (
+            (0.3, 'prbs'), (0.1, 'doublets'), (0.3, 'pilot'), (0.1, 'sweep'))))])
+def test_a_lead_with_which_no_model_without_one_is_near_is_told(late, kind):
+    """
+    Predictions found poles that grow, or "does not follow the inputs", or a controller.
+
+    Of a sweep a zero stands in for 0.1 s, and the model simulates as well.
+    """
+    rng = np.random.default_rng(0)
+    t_u, t = np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 10.0, 0.008) + rng.uniform(0, 1e-3, 1250)
+    u = drive(kind, rng, t_u, 12.0, 2.0, 1)
+    motor = StateSpace([[-4.0, 0.0], [25.0, -25.0]], [[4.0], [0.0]], [[0.0, 1.0]])
+    y = motor.simulate((Signal(t_u, u, 'zoh'),), t)[:, 0]
+    record = Record.from_arrays(t_u[50:], u[50:], t - late,
+                                y + 0.02 * y.std() * rng.standard_normal(1250), input_hold='zoh')
+    found = identify(record, Settings(feedthrough=False))
+    assert not found.good
+    assert 'answer about' in found.verdict.reason
+    told = float(found.verdict.reason.split('answer about ')[1].split()[0])
+    # The lag of the faster pole, 0.04 s, may be taken for so much less
+    assert late - 0.05 < told < late + 0.01

@@ -16,7 +16,7 @@ from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
-from ctsid_core.judge.lead import WITHIN, lead_of_outputs
+from ctsid_core.judge.lead import WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.judge.stuck import stuck_outputs
@@ -29,12 +29,13 @@ from ctsid_core.likelihood.residuals import (
     residuals,
     white_part,
 )
+from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import UNJUDGED, Excitation
+from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import (
     AHEAD,
@@ -43,8 +44,10 @@ from ctsid_core.search.by_prediction import (
     held_interval,
     in_record,
 )
+from ctsid_core.search.corrupt import corrupt_rows
 from ctsid_core.search.held_out import HeldOut, held_out
-from ctsid_core.search.solution import GROWS, Doubt, Solution, at_fastest
+from ctsid_core.search.solution import GROWS, Doubt, Solution, at_fastest, own_delays
+from ctsid_core.search.solve import free_of
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
@@ -92,6 +95,10 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
+    if verdict.grade is not Grade.GOOD and sought and not lead.any() and not effort.over:
+        lead = _lead_by_search(solution, sought)
+        if lead.any():
+            status, verdict = judge(replace(evidence, lead=_lead(lead, last)))
     corrupt, counts = part.corrupt()
     accepted = status is Status.OK
     return Estimate(
@@ -279,6 +286,14 @@ def _lead(found: Array, part: Usable) -> Array:
     whole, lead = part.whole, _spread_out(found, part.u, part.whole.nu, 0.0)
     interval = np.repeat([s.period for s in whole.inputs], [s.width for s in whole.inputs])
     return np.where(lead > WITHIN * interval, lead, 0.0)
+
+
+def _lead_by_search(solution: Solution, sought: tuple[bool, ...]) -> Array:
+    part = solution.part
+    samples = samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)), 0.0,
+                         solution.samples.effort)
+    free = free_of(samples, own_delays(part, solution.settings))
+    return lead_by_search(samples, replace(free, delays=sought), solution.delay)
 
 
 def _wrapped(part: Joint) -> Doubt | None:

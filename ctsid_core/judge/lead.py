@@ -21,11 +21,12 @@ from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.by_order import SEARCHED
-from ctsid_core.search.tried import Tried, beats, criterion, parameters, price, tried
+from ctsid_core.search.by_order import SEARCHED, search_orders
+from ctsid_core.search.tried import Tried, beats, choose, criterion, parameters, price, tried
 
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
+_STATES = 3           # that are looked for with leads, at most
 _NOISE = 0.5          # of the samples have errors that are independent with a lead, at least: else
                       # it explains a part of what it is not, as of gusts in a loop (0.1 at most)
                       # or of plants that change or are not linear (0.3)
@@ -60,8 +61,7 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
                 continue
             led = tried(early, one, leading)
             nothing = replace(led, power=np.ones(samples.ny), parameters=0)
-            if criterion(nothing, led) <= 0.0 or np.any(
-                    led.independent < _NOISE * early.counts.sum(axis=0)):
+            if criterion(nothing, led) <= 0.0 or not _is_noise(early, led):
                 continue
             own = own or _climbed(early, model.poles, delay, known)
             # It is the lead that explains more, not that there are fewer poles; and where noise
@@ -70,6 +70,36 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
             if one.cost < own.fit.cost and beats(led, own) and beats(led, alone):
                 found = np.where(asked, np.maximum(delay - one.model.delay, 0.0), 0.0)
     return found
+
+
+def lead_by_search(samples: Samples, free: Free, given: Array) -> Array:
+    """
+    Return by how much outputs answer before each input, (nu,) [s], whatever model was found.
+
+    A few states are looked for anew, with leads: where these are long, no model without one is
+    near. Dead times that are not free are `given`, (nu,) [s].
+    """
+    reach, late = _REACH * samples.length, np.array(free.delays)
+    early = _earlier(samples.thinned(SEARCHED), reach)
+    leading = replace(free, feedthrough=False, longest=free.longest + reach)
+    _, tries = search_orders(
+        early, leading, lambda n, delay: iter(()), order=0, max_order=_STATES,
+        known_delay=np.where(late, 0.0, given + reach))
+    if not tries:
+        return np.zeros(samples.nu)
+    led = tries[choose(tries)]
+    found = np.where(late, np.maximum(reach - led.fit.model.delay, 0.0), 0.0)
+    with suppress(np.linalg.LinAlgError):
+        alone = _climbed(early, led.fit.model.poles, np.maximum(led.fit.model.delay, reach),
+                         replace(leading, delays=(False,) * samples.nu))
+        if found.any() and _is_noise(early, led) and beats(led, alone):
+            return found
+    return np.zeros(samples.nu)
+
+
+def _is_noise(samples: Samples, one: Tried) -> bool:
+    """Return whether what a model leaves is nearly independent from sample to sample."""
+    return bool(np.all(one.independent >= _NOISE * samples.counts.sum(axis=0)))
 
 
 def _climbed(samples: Samples, poles: ComplexArray, delay: Array, free: Free) -> Tried:
