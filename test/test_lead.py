@@ -134,5 +134,5 @@ def test_a_lead_with_which_no_model_without_one_is_near_is_told(late, kind):
     assert not found.good
     assert 'answer about' in found.verdict.reason
     told = float(found.verdict.reason.split('answer about ')[1].split()[0])
-    # The lag of the faster pole, 0.04 s, may be taken for so much less
-    assert late - 0.05 < told < late + 0.01
+    # To an interval of the input; a lag of 0.04 s, of the faster pole, may be taken for less lead
+    assert late - 0.06 < told < late + 0.03
