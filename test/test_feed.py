@@ -174,7 +174,8 @@ def test_publishers_mix_while_windows_have_samples_of_both_in_turns():
     assert not any(taking_turns[:85])
     assert all(taking_turns[95:110])
     assert not any(taking_turns[-15:])
-    assert not any(seen(lambda t, k: 1 if t < 2.0 else 2))      # one takes over
+    assert not any(seen(lambda t, k: 1 if t < 2.0 else 2))      # one takes over,
+    assert sum(seen(lambda t, k: 2 if 1.5 < t < 3.1 else 1)) < 5    # for longer than a window
     assert all(seen(lambda t, k: 1, known=False))
 
 

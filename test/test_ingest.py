@@ -390,13 +390,15 @@ def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, 
         assert float(record.faults[0].split()[4]) == pytest.approx(rate, rel=0.01)
 
 
+@pytest.mark.parametrize('length', [10.0, 0.8])
 @pytest.mark.parametrize(('imu', 'cmd', 'told'), [
     (0.3, None, True),          # from the future, beside a topic without headers
     (5.0, -0.003, True),        # or beside one whose messages come 3 ms after they are stamped
     (5.0, 4.99, False),         # one clock that is 5 s ahead of the recorder's
+    (0.05, 0.01, False), (0.05, -0.05, False),      # or 50 ms; others take 40 and 100 ms to come
     (0.015, None, False), (-0.1, None, False), (-0.1, -0.002, False)])      # what takes its time
-def test_headers_from_the_future_are_of_another_clock(imu, cmd, told):
-    ingest, records = make(U, P, window_length=10.0, window_max_delay=6.0), []
+def test_headers_from_the_future_are_of_another_clock(imu, cmd, told, length):
+    ingest, records = make(U, P, window_length=length, window_max_delay=6.0), []
     for k in range(3000):
         log = EPOCH + k * S // 100
         for topic, ahead, x in (('/imu', imu, math.sin(k)), ('/cmd', cmd, math.cos(k))):
@@ -484,7 +486,8 @@ def pushed(stamps, values=(1.0,), clock=None, **changes):
     (lambda k: EPOCH - 3600 * S + k * S // 100, (1.0,),
      ['their stamps are 3.6e+03 s behind those of other channels', 'clocks are not one']),
     (lambda k: EPOCH - S + k * S // 100, (1.0,),
-     ['comes in time: they are up to 1 s behind', 'raise `window.max_delay` (0.1 s)']),
+     ['comes in time: they are up to 1 s behind', 'set `stamp` to log for all channels if clocks '
+      'differ, else raise `window.max_delay` (0.1 s)']),
     (lambda k: EPOCH + S // 2, (1.0,), ['stand still, so the time of recording is used']),
     (lambda k: EPOCH + k * S // 100, (), ['not one of 30 samples could be decoded']),
 ])

@@ -19,7 +19,8 @@ from ctsid_core.model.verdict import Grade  # noqa: E402
 from ctsid_ros.config.parameter_file import read_config  # noqa: E402
 from ctsid_ros.ingest.feed import Feed, Taken  # noqa: E402
 from ctsid_ros.messages import Level  # noqa: E402
-from ctsid_ros.node.diagnosis import IngestDiagnosis  # noqa: E402
+from ctsid_ros.node.diagnosis import IngestDiagnosis, no_window  # noqa: E402
+from ctsid_ros.node.session import Progress  # noqa: E402
 from ctsid_ros.recordings.bag import open_bag  # noqa: E402
 from ctsid_ros.replay.replay import Replay  # noqa: E402
 
@@ -42,6 +43,7 @@ def test_windows_of_two_publishers_are_never_good(live, tmp_path):
     idle, = live.publishers({'/command': JointState}, RELIABLE, node.name)
     robot.send(4.7)
     first, = node.wait_models(1)  # the second publisher is there, and silent
+    assert 'publishers are on' not in node.next_health('ingest').message
     assert first.good
     for k in range(100):
         robot.send(4.7 + 0.02 * k)
@@ -159,17 +161,36 @@ def test_a_parameter_file_for_another_node_is_said(live):
             '__node:=NAME`') in node.log
 
 
-def test_a_silence_within_the_last_window_is_told_until_it_has_left():
-    """Commands are lost for 3 s, then they come again."""
+@pytest.mark.parametrize('dead', ['/cmd', '/rate'])
+def test_a_silence_within_the_last_window_is_told_until_it_has_left(dead):
+    """A topic is lost for 3 s; of a command, perhaps sent when it changes, as a cause only."""
     config = replace(CONFIG, settings=CONFIG.settings.replace(window_length=4.0))
-    feed, look, said = Feed(config, TYPES, lambda _: 1), IngestDiagnosis(config, EPOCH), {}
+    feed, look = Feed(config, TYPES, lambda _: 1), IngestDiagnosis(config, EPOCH)
+    said, causes = {}, {}
     for second in range(20):
         now_ns = EPOCH + second * S
-        feed.take([Taken(now_ns, '/rate', rate(now_ns, 0.1)),
-                   *([] if 5 <= second < 8 else [Taken(now_ns, '/cmd', command([0, 1]))])], now_ns)
+        feed.take([Taken(now_ns, topic, raw) for topic, raw in (
+            ('/rate', rate(now_ns, 0.1)), ('/cmd', command([0, 1])))
+            if topic != dead or not 5 <= second < 8], now_ns)
         said[second] = look.look(feed, now_ns, 1.5, [], '').message
-    assert 'silent' not in said[5]
-    assert '/cmd has been silent for 3.0 s' in said[7]
-    assert '/cmd was silent for 3.0 s until 1 s ago' in said[8]
-    assert '/cmd was silent for 3.0 s until 3 s ago' in said[10]
-    assert 'silent' not in said[11]
+        causes[second] = '; '.join(look.troubles)
+    assert 'silent' not in causes[5]
+    assert f'{dead} has been silent for 3.0 s' in said[7]
+    assert f'{dead} was silent for 3.0 s until 1 s ago' in causes[8]
+    assert f'{dead} was silent for 3.0 s until 3 s ago' in causes[10]
+    assert ('was silent' in said[8]) == (dead == '/rate')
+    assert 'silent' not in causes[11]
+    # The computer's clock is set back.
+    look.look(feed, EPOCH + 30 * S, 1.5, [], '')
+    feed.take([Taken(EPOCH + 27 * S, '/rate', rate(EPOCH, 0.1)),
+               Taken(EPOCH + 27 * S, '/cmd', command([0, 1]))], EPOCH + 27 * S)
+    look.look(feed, EPOCH + 27 * S, 1.5, [], '')
+    assert 'silent' not in '; '.join(look.troubles)
+
+
+def test_how_full_the_next_window_is_is_told_while_none_comes():
+    late = Progress(idle=12.94, overdue=9.9)
+    assert no_window(late, 2.0, 0.34) == \
+        'no window has come for 12.9 s, the next one is filled to 34 %'
+    assert no_window(late, 2.0, 0.9995) == 'no window has come for 12.9 s'
+    assert not no_window(late, 10.0, 0.34)

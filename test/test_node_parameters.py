@@ -4,6 +4,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from threading import Timer
 import time
 
 import pytest
@@ -216,6 +217,16 @@ def test_a_missing_type_is_answered_with_what_is_there(make):
     assert fault == ('`rate.type` is missing (imu is of type std_msgs/msg/String now); add it, '
                      'like std_msgs/msg/String')
     node.destroy_publisher(publisher)
+
+
+def test_a_node_that_has_just_started_waits_for_what_others_publish(make):
+    from std_msgs.msg import String
+    node = make(FILE.replace(' type: sensor_msgs/msg/Imu,', ''))
+    later = Timer(0.3, node.create_publisher, (String, 'imu', 1))
+    later.start()
+    fault, = faults_of(node)
+    later.join()
+    assert 'imu is of type std_msgs/msg/String now' in fault
 
 
 def test_every_parameter_describes_itself(make):

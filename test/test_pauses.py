@@ -21,7 +21,7 @@ from ctsid_core.judge.motion import motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
-from ctsid_core.signals.gaps import between_pauses
+from ctsid_core.signals.gaps import between_pauses, silent_at_end
 from ctsid_ros.studies.robots.families import experiment
 
 PLANT = plant([[0.0, 1.0], [-25.0, -5.0]], [[0.0], [25.0]], [[1.0, 0.0]])
@@ -335,3 +335,20 @@ def test_robots_that_pause(family):
                      for keep in [(s.time < r.start + a) | (s.time > r.start + b)])
     found = identify(replace(r, inputs=cut(r.inputs), outputs=cut(r.outputs)), given.settings)
     assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+
+
+@pytest.mark.parametrize(('stamps', 'silent'), [
+    (np.arange(0.0, 10.0, 0.01), 0.0), (np.arange(0.0, 8.95, 0.01), 1.06),
+    (np.arange(0.2, 8.5, 1.0), 0.0), (np.arange(0.2, 7.5, 1.0), 2.8),      # a slow sensor
+    (np.concatenate([s + np.arange(0.0, 1.0, 0.02) for s in (0.0, 2.5, 5.0)]), 4.02),   # in duty
+    (np.concatenate([s + np.arange(0.0, 1.0, 0.02) for s in (0.0, 2.5, 5.0, 7.5)]), 0.0)])
+def test_silence_at_the_end_is_longer_than_any_before_it(stamps, silent):
+    """Of outputs, and of inputs that are not held."""
+    here, there = Signal(stamps, stamps[:, np.newaxis]), Signal(
+        np.array([0.0, 9.9]), np.array([[1.0], [2.0]]), 'zoh')
+    for record, name in ((Record((there,), (here,), 0.0, 10.0), 'y1'),
+                         (Record((replace(here, hold='linear'),), (there,), 0.0, 10.0), 'u1'),
+                         (Record((replace(here, hold='zoh'),), (there,), 0.0, 10.0), '')):
+        found = silent_at_end(record)
+        assert [one for one, _ in found] == ([name] if silent and name else [])
+        assert not found or found[0][1] == pytest.approx(silent, abs=1e-9)

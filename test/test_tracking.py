@@ -575,3 +575,16 @@ def test_spikes_of_the_window_of_a_model_are_none_of_its_errors():
     before, after = run([spiky.between(1.0, 20.0), spiky.between(21.0, 40.0)], settings)
     assert before.estimate.statistics['corrupt_samples'] == 9
     assert 'the new data of output y1 badly' in after.estimate.verdict.reason
+
+
+@pytest.mark.parametrize(('fit', 'ratio', 'grade'), [
+    ((95.0, 60.0), (np.nan, np.nan), 'WEAK'), ((95.0, 60.0), (1.1, 1.2), 'GOOD'),
+    ((95.0, np.nan), (1.1, np.nan), 'GOOD'), ((np.nan, np.nan), (np.nan, np.nan), 'WEAK')])
+def test_what_nothing_was_held_out_of_is_good_if_all_new_outputs_are_simulated_well(
+        steady, fit, ratio, grade):
+    """An output may be too seldom sampled to tell."""
+    found = identify(steady[0], SETTINGS.replace(held_out=0.0))
+    assert 'not been tested' in found.verdict.reason
+    verdict = tracking.in_sequence(found, np.array(fit), np.array(ratio), 0.1).verdict
+    assert verdict.grade.name == grade
+    assert ('not been tested' in verdict.reason) == (grade == 'WEAK')

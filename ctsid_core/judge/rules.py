@@ -461,15 +461,15 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
 
 def _silences(silent: tuple[tuple[str, float], ...]) -> Iterator[tuple[Remedy, str]]:
     for name, seconds in silent:
-        yield Remedy.RECORD, (
+        yield Remedy.SIGNALS, (
             f'No sample of {name} has come in the last {seconds:.3g} s of the window, so that the '
             'model is of the time before; check the sensor.')
 
 
 def _well(fit: Array, ratio: Array) -> bool:
-    """Return whether the previous model simulates the new data of all outputs well."""
-    return bool(np.all(np.where(np.isfinite(ratio), (ratio <= _FRESH_RATIO) | (fit >= _FRESH_FIT),
-                                fit >= _FRESH_FIT)))
+    """Return whether the previous model simulates well what is new, of outputs with enough."""
+    well, known = (ratio <= _FRESH_RATIO) | (fit >= _FRESH_FIT), np.isfinite(fit)
+    return bool(known.any() and well[known].all())
 
 
 def _collapses(names: tuple[str, ...], fit: Array, ratio: Array

@@ -176,12 +176,17 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
 
 
 def _error(estimate: Estimate, record: Record) -> Array:
-    """Return the rms error with which a model simulates each output of its window, if known."""
+    """
+    Return the rms error with which a model simulates each output of its window, if known.
+
+    On the part that was held out, if that is more: what is new it has not seen, either.
+    """
     if estimate.by_predictions:
         return np.full(record.ny, np.nan)
     with np.errstate(over='ignore', invalid='ignore'):  # torn values
         motion = [s.values[s.rows(record.start, record.end)].std(axis=0) for s in record.outputs]
-    return estimate.verdict.error * np.concatenate(motion)
+    return np.fmax(estimate.verdict.error, estimate.verdict.held_out_error) \
+        * np.concatenate(motion)
 
 
 def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:
@@ -225,19 +230,23 @@ def _fresh(past: _Past, record: Record) -> _Test:
     none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
     if past.model is None or past.end_ns >= end_ns:
         return none
+    # Where few older data are left in this window, the model's own window tells; and offsets of a
+    # later time are its own, as those of another recording are.
+    apart = 2 * past.end_ns < start_ns + end_ns
     try:
         found = simulation(past.model, record)
+        compared = simulation(past.model, record, trim='refit') if apart else found
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    error, before = _errors(found, new), _errors(found, ~new)
-    # Where older data are no longer in this window, the model's own window tells.
-    before = np.where(np.isnan(before), past.error, before)
+    error = _errors(found, new)
+    before = past.error if apart else _errors(found, ~new)
     spread = np.array([np.std(y[~np.isnan(y)]) if np.isfinite(y).any() else 0.0
                        for y in found.y.T])
     fit = 100.0 * (1.0 - error / np.where(spread > 0.0, spread, np.nan))
     if np.isnan(fit).all():
         return none
+    error = _errors(compared, new)
     ratio = np.where(error > 0.0, error, np.nan) / np.where(before > 0.0, before, np.nan)
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 

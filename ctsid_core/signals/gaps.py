@@ -26,7 +26,8 @@ _USUAL = 0.9            # of the intervals of a signal are no longer than the us
 _LONG = 0.01            # of a record: shorter pauses are bridged, for each costs states and
                         # offsets anew, and a shorter part is none if it has few samples
 _MANY = 5               # times as many as any part has: a short experiment in a long recording
-_LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now
+_LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now, ...
+_BEFORE = 2.0           # ... if it is longer than any before it, so many times
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -78,11 +79,11 @@ def silent_at_end(record: Record) -> tuple[tuple[str, float], ...]:
     for signals, names in ((record.outputs, record.output_names),
                            (record.inputs, record.input_names)):
         for s, places in zip(signals, channel_slices(signals), strict=True):
-            last = s.time[:np.searchsorted(s.time, record.end, side='right')][-1:]
-            known = signals is record.inputs and s.hold == 'zoh'
-            if not known and len(last) and record.end - last[0] > _LAST * record.duration \
-                    and _misses(replace(s, hold='smooth'), last, record)[0]:
-                found.append((names[places.start], float(record.end - last[0])))
+            own = s.time[s.rows(record.start, record.end)]
+            silent = record.end - own[-1] if len(own) > 1 else 0.0
+            if not (signals is record.inputs and s.hold == 'zoh') and silent > max(
+                    _LAST * record.duration, _BEFORE * np.max(np.diff(own), initial=0.0)):
+                found.append((names[places.start], float(silent)))
     return tuple(found)
 
 

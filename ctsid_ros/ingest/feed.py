@@ -173,7 +173,7 @@ class Feed:
         return 0.0 if self._ingest is None else self._ingest.filled
 
     def mixes(self, topic: str) -> bool:
-        """Whether publishers of a topic may have taken turns since the last window began."""
+        """Whether publishers of a topic may have taken turns within the last `window.length`."""
         return not self.topics[topic].numbered or (
             self._ingest is not None and self._ingest.mixes(topic))
 

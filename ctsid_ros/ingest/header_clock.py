@@ -15,7 +15,8 @@ _KEPT = 4096  # seconds, at most
 _FEWEST = 6  # messages: of fewer a line tells no jitter
 AHEAD = 0.02  # s, of headers before their messages come: clocks that are set by a network's
 # differ by less
-_SURE = 2  # messages
+ON_THE_WAY = 0.2  # s: of one clock, messages of one topic take longer than of another by less
+_NEWEST = 5  # messages that tell it
 
 
 class HeaderClock:
@@ -45,16 +46,18 @@ class HeaderClock:
 
     def forget(self, before_ns: int) -> None:
         """Forget what no window from a time on [ns] needs."""
-        self._pairs = [pair for pair in self._pairs if pair[0] >= before_ns][-_KEPT:]
+        needed = sum(pair[0] >= before_ns for pair in self._pairs)
+        self._pairs = self._pairs[-min(max(needed, _NEWEST), _KEPT):]
 
     def _within(self, record: Record) -> NDArray[np.int64]:
         start, end = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
         return np.array([pair for pair in self._pairs if start <= pair[0] <= end], np.int64)
 
     def ahead(self, record: Record) -> float:
-        """Return by how much headers are ahead of the log within a record, the median [s]."""
-        pairs = self._within(record)
-        return float(np.median(pairs[:, 1] - pairs[:, 0])) * 1e-9 if len(pairs) >= _SURE else 0.0
+        """Return by how much the newest headers up to the end are ahead of the log, median [s]."""
+        end = record.epoch_ns + round(record.end * 1e9)
+        ahead = [header - log for log, header in self._pairs if log <= end][-_NEWEST:]
+        return float(np.median(ahead)) * 1e-9 if ahead else 0.0
 
     def rate(self, record: Record, drift: float) -> float:
         """Return how fast the headers run within a record; 1 where it may be by a drift only."""

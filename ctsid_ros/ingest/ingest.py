@@ -26,7 +26,13 @@ from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
-from ctsid_ros.ingest.header_clock import AHEAD, DRIFT, REAL_TIME, HeaderClock
+from ctsid_ros.ingest.header_clock import (
+    AHEAD,
+    DRIFT,
+    ON_THE_WAY,
+    REAL_TIME,
+    HeaderClock,
+)
 from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
@@ -300,8 +306,9 @@ class Ingest:
         return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
 
     def mixes(self, topic: str) -> bool:
-        """Whether publishers of a topic have taken turns since the last window began."""
-        return any(self._mixing[group].turns for group, _, _ in self._topics[topic].groups)
+        """Whether publishers of a topic have taken turns within the last `window.length`."""
+        since = self.newest_ns - round(self._config.settings.window_length * 1e9)
+        return any(self._mixing[group].since(since) for group, _, _ in self._topics[topic].groups)
 
     def forget_worst(self) -> None:
         """Let the counts tell of samples far out of place only if they come from now on."""
@@ -405,17 +412,19 @@ class Ingest:
         yield from self._ahead(record)
 
     def _ahead(self, record: Record) -> Iterator[str]:
-        """Yield headers of messages that have come before they were stamped; others have not."""
-        by: dict[str, list[str]] = {'header': []}
-        for channel in self._config.channels:
-            source = self._topics[channel.topic].source_of(channel.name)[0]
-            by.setdefault(source, []).append(channel.name)
-        ahead = {c.topic: self._topics[c.topic].clock.ahead(record)
-                 for c in self._config.channels if c.name in by['header']}
-        others = [c.name for c in self._config.channels
-                  if c.name not in by['header'] or ahead[c.topic] <= AHEAD]
-        for topic, seconds in ahead.items() if others else ():
-            if seconds > AHEAD:
+        """Yield headers that are ahead of when their messages come, beside another clock."""
+        source = {c.name: self._topics[c.topic].source_of(c.name)[0]
+                  for c in self._config.channels}
+        # Of what has no header of its own the clock of the log is that of its stamps.
+        clocks = {c.name: self._topics[c.topic].clock.ahead(record)
+                  if source[c.name] == 'header' else 0.0
+                  for c in self._config.channels if source[c.name] != 'publish'}
+        for topic in self._topics:
+            seconds = max((clocks[c.name] for c in self._config.channels
+                           if c.topic == topic and source[c.name] == 'header'), default=0.0)
+            others = [name for name, other in clocks.items() if other <= AHEAD and
+                      seconds - other > (AHEAD if source[name] == 'log' else ON_THE_WAY)]
+            if seconds > AHEAD and others:
                 yield (f'Headers of {topic} are {seconds:.3g} s ahead of when its messages come, '
                        f'and those of {", ".join(others)} are not: their clocks differ, and dead '
                        'times are wrong by as much; set `stamp: log` for all channels, or set '

@@ -43,12 +43,11 @@ class Mixing:
     def forget(self, before_ns: int) -> None:
         """Forget what no window from a time on [ns] needs."""
         if self._turns:
-            self._turns = [turn for turn in self._turns if turn[-1] >= before_ns]
+            self._turns = [turn for turn in self._turns if turn[0] >= before_ns]
 
-    @property
-    def turns(self) -> bool:
-        """Whether any are remembered."""
-        return bool(self._turns)
+    def since(self, start_ns: int) -> bool:
+        """Whether publishers have taken turns since a time [ns]."""
+        return any(turn[0] >= start_ns for turn in self._turns)
 
     def within(self, signal: Signal, record: Record) -> bool:
         """Whether samples of a signal are mixed within its record, those that were kept."""

@@ -22,6 +22,7 @@ from ctsid_ros.messages.health import Health, Level
 from ctsid_ros.node.session import Progress, UnderWay
 
 INGEST, IDENTIFICATION = 'ingest', 'identification'
+_FULL = 0.99  # of a window that waits for the samples after its end
 _KINDS = ('late', 'astray', 'bad_stamp', 'duplicate', 'non_finite', 'wrong_width')
 
 
@@ -76,7 +77,7 @@ class IngestDiagnosis:
             The last fault of the ingest itself, if any.
         """
         silent: list[str] = []
-        ended: list[str] = []
+        ended: dict[str, str] = {}
         values: dict[str, object] = {}
         for topic, state in feed.topics.items():
             age = (now_ns - (state.last_ns or self._start_ns)) * 1e-9
@@ -87,10 +88,10 @@ class IngestDiagnosis:
                               'its publisher runs')
                 if state.messages:
                     self._silences[topic] = now_ns, age
-            elif topic in self._silences and (
+            elif topic in self._silences and 0.0 <= (
                     since := (now_ns - self._silences[topic][0]) * 1e-9) < self._length:
-                ended.append(f'{topic} was silent for {self._silences[topic][1]:.1f} s until '
-                             f'{since:.0f} s ago, which is within the last window')
+                ended[topic] = (f'{topic} was silent for {self._silences[topic][1]:.1f} s until '
+                                f'{since:.0f} s ago, which is within the last window')
             values |= {f'{topic} messages': state.messages,
                        f'{topic} rate [1/s]': self._rate(topic, state.messages, now_ns * 1e-9),
                        f'{topic} age [s]': age if state.messages else math.nan,
@@ -100,11 +101,16 @@ class IngestDiagnosis:
         values |= {'window filled [%]': 100.0 * feed.filled, 'largest batch': feed.largest_batch,
                    **_sample_values(totals, recent, self._config)}
         own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
-        troubles = [*own, *faults, *silent, *ended]
+        troubles = [*own, *faults, *silent]
+        # Commands may be sent when they change: that is told beside a verdict that is not GOOD.
+        held = {topic for topic in ended if all(
+            c.hold == 'zoh' and c.role == 'input' for c in self._config.channels
+            if c.topic == topic)}
+        troubles += [line for topic, line in ended.items() if topic not in held]
         # What never came is reported as silent already.
         troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')
                      if 'no message has come' not in line]
-        self.troubles = troubles
+        self.troubles = [*troubles, *(ended[topic] for topic in held)]
         level = (Level.ERROR if failure else
                  Level.STALE if silent and len(silent) == len(feed.topics) else
                  Level.WARN if troubles else Level.OK)
@@ -134,6 +140,13 @@ def _sample_values(totals: Totals, recent: Totals, config: Config) -> dict[str, 
                 values[f'{channel.name} {key} in the last window'] = getattr(now.samples, key)
     return values | {'windows': totals.counts.windows, 'empty windows': totals.counts.empty,
                      'resets': totals.counts.resets}
+
+
+def no_window(progress: Progress, timeout: float, filled: float) -> str:
+    """Return that no window comes, if it should have [s]; and how full the next one is."""
+    fills = f', the next one is filled to {100.0 * filled:.0f} %' if filled < _FULL else ''
+    return f'no window has come for {progress.idle:.1f} s{fills}' \
+        if progress.overdue > timeout else ''
 
 
 def diagnose_identification(progress: Progress) -> Health:

@@ -23,7 +23,12 @@ from ctsid_ros.ingest.feed import Feed
 from ctsid_ros.ingest.sim_clock import SimClock
 from ctsid_ros.messages.health import Health, Level
 from ctsid_ros.messages.models import provenance
-from ctsid_ros.node.diagnosis import IngestDiagnosis, diagnose_identification, with_cause
+from ctsid_ros.node.diagnosis import (
+    IngestDiagnosis,
+    diagnose_identification,
+    no_window,
+    with_cause,
+)
 from ctsid_ros.node.intake import Intake
 from ctsid_ros.node.plan import Plan
 from ctsid_ros.node.session import Identified, Session
@@ -92,11 +97,9 @@ class Run:
             ingest = self.diagnosis.look(self.feed, time.time_ns(), timeout, faults,
                                          self.intake.failure)
             filled = self.feed.filled
-        fills = f', the next one is filled to {100.0 * filled:.0f} %' if filled < 0.99 else ''
         progress = self.session.progress
-        gone = ('no messages come in' if ingest.level is Level.STALE else
-                f'no window has come for {progress.idle:.1f} s{fills}'
-                if progress.overdue > timeout else '')
+        gone = 'no messages come in' if ingest.level is Level.STALE else \
+            no_window(progress, timeout, filled)
         return [ingest, with_cause(diagnose_identification(progress), gone,
                                    self.diagnosis.troubles)]
 
