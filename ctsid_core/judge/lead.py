@@ -26,7 +26,8 @@ from ctsid_core.search.tried import Tried, beats, choose, criterion, parameters,
 
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
-_STATES = 3           # that are looked for with leads, at most
+_STATES = 3           # that are looked for with leads, at most, and ...
+_MOST = 0.8           # ... rms error over motion with which they tell something: chance leaves more
 _NOISE = 0.5          # of the samples have errors that are independent with a lead, at least: else
                       # it explains a part of what it is not, as of gusts in a loop (0.1 at most)
                       # or of plants that change or are not linear (0.3)
@@ -60,8 +61,7 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
             if one.cost > rival or not (one.model.delay < delay)[asked].any():
                 continue
             led = tried(early, one, leading)
-            nothing = replace(led, power=np.ones(samples.ny), parameters=0)
-            if criterion(nothing, led) <= 0.0 or not _is_noise(early, led):
+            if not _explains(led):
                 continue
             own = own or _climbed(early, model.poles, delay, known)
             # It is the lead that explains more, not that there are fewer poles; and where noise
@@ -92,14 +92,16 @@ def lead_by_search(samples: Samples, free: Free, given: Array) -> Array:
     with suppress(np.linalg.LinAlgError):
         alone = _climbed(early, led.fit.model.poles, np.maximum(led.fit.model.delay, reach),
                          replace(leading, delays=(False,) * samples.nu))
-        if found.any() and _is_noise(early, led) and beats(led, alone):
+        if found.any() and led.rms < _MOST and _explains(led) and beats(led, alone):
             return found
     return np.zeros(samples.nu)
 
 
-def _is_noise(samples: Samples, one: Tried) -> bool:
-    """Return whether what a model leaves is nearly independent from sample to sample."""
-    return bool(np.all(one.independent >= _NOISE * samples.counts.sum(axis=0)))
+def _explains(one: Tried) -> bool:
+    """Return whether a model explains more than chance does, and leaves nothing but noise."""
+    nothing = replace(one, power=np.ones_like(one.power), parameters=0)
+    return criterion(nothing, one) > 0.0 and bool(np.all(
+        one.independent >= _NOISE * one.samples.counts.sum(axis=0)))
 
 
 def _climbed(samples: Samples, poles: ComplexArray, delay: Array, free: Free) -> Tried:
