@@ -27,7 +27,7 @@ from ctsid_core.search.tried import Tried, beats, choose, criterion, parameters,
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
 _STATES = 3           # that are looked for with leads, at most, and ...
-_MOST = 0.8           # ... rms error over motion with which they tell something: chance leaves more
+_MOST = 0.8           # ... rms error over motion with which they tell: chance leaves more
 _NOISE = 0.5          # of the samples have errors that are independent with a lead, at least: else
                       # it explains a part of what it is not, as of gusts in a loop (0.1 at most)
                       # or of plants that change or are not linear (0.3)
