@@ -234,6 +234,16 @@ def test_replay_as_json(ctsid, shared):
         found['windows'][found['best_window'] - 1]['start_ns']
 
 
+def test_simulate_names_the_command_for_a_recording_of_another_plant(
+        ctsid, identified, tmp_path):
+    other = write_mcap(tmp_path / 'other.mcap', [replace(s, message=imu(
+        stamp_of(s), -2.0 * s.message.angular_velocity.x)) if s.topic == '/imu' else s
+        for s in flight(10.0, seed=3)])
+    _, out, _ = ctsid('simulate', identified[0] / 'model.json', other, '--json')
+    assert any(f'`ctsid identify {other} --params params.yaml` makes a model of this' in note
+               for note in json.loads(out)['notes'])
+
+
 def test_simulate_explains_another_bag_without_parameters(ctsid, shared, identified, tmp_path):
     model = identified[0] / 'model.json'
     other = write_flight(tmp_path / 'other', flight(10.0, seed=2))

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import StorageError
@@ -22,6 +23,7 @@ from ctsid_ros.verbs.arguments import (
     add_params,
     add_report,
     add_style,
+    bag_words,
     check_channels,
     interval_of,
     model_file,
@@ -114,8 +116,8 @@ def command(args: argparse.Namespace) -> int:
                  *_unsimulated(outcome.simulated), *rests * (
             'no input moves in this recording, which tells nothing of the model: choose another, '
             'or a part in which they move',),
-                 *([f'{failed}; `ctsid identify` of this recording has its own model, `ctsid '
-                    'compare` of both shows what has changed'] if failed else []), *bag.notes,
+                 *([f'{failed}; `{_again(args)}` makes a model of this recording, `ctsid compare` '
+                    'of both shows what has changed'] if failed else []), *bag.notes,
                  *data.complaints, *spikes,
                  *(note for v in outcome.predicted.values() for note in v.notes))
     why = '' if estimate.ok else estimate.verdict.reason
@@ -128,6 +130,12 @@ def command(args: argparse.Namespace) -> int:
         rejected = [Section(f'REJECTED ({estimate.status.name})', (why,))] if why else []
         print(to_text([*rejected, *_sections(outcome, args, notes)]))
     return NO_MODEL if why else ACCEPTED
+
+
+def _again(args: argparse.Namespace) -> str:
+    """Return the command that makes a model of the recording."""
+    return shlex.join(('ctsid', 'identify', *bag_words(args), '--params',
+                       args.params or 'params.yaml'))
 
 
 def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> StateSpace:
