@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.hermite_functions import KEPT, hermite_functions
 from ctsid_core.bases.quadrature import coefficients, free_motion
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
@@ -60,26 +60,37 @@ class HermiteLines:
     """What depends on nmax alone."""
 
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
-    V: Lines      # (nc, L): from coefficients to lines, the rest of them conjugates
+    size: Array   # (nc, L): V without its factors (-i)^n
+
+    @property
+    def V(self) -> Lines:
+        """From coefficients to lines, the rest of them conjugates, (nc, L)."""
+        return self.of(np.eye(len(self.size)))
+
+    def of(self, c: Array) -> Lines:
+        """Return the lines of coefficients (m, nc): c V, (m, L)."""
+        # Even orders have real lines, odd ones imaginary ones.
+        signed = c * np.array([1.0, -1.0, -1.0, 1.0])[np.arange(c.shape[1]) % 4]
+        return np.asarray(signed[:, 0::2] @ self.size[0::2]
+                          + 1j * (signed[:, 1::2] @ self.size[1::2]))
 
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
         # <h_n, 1>: odd ones vanish
-        c = np.zeros((1, len(self.V)))
+        c = np.zeros((1, len(self.size)))
         c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * free_motion(c.size)[1][0::2]
-        return np.asarray(c @ self.V)
+        return self.of(c)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=KEPT)
 def hermite_lines(nmax: int) -> HermiteLines:
     """Return the diagonal form of the derivative for orders 0 .. nmax, nmax at least 1."""
     w = roots_hermite(nmax + 1)[0][(nmax + 1) // 2:]
     h = hermite_functions(nmax, w)
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
-    power = np.array([1, -1j, -1, 1j], dtype=complex)[np.arange(nmax + 1) % 4]      # (-i)^n
-    return HermiteLines(w, np.asarray(power[:, np.newaxis] * q, dtype=complex))
+    return HermiteLines(w, q)
 
 
 def time_scale(nmax: int, tau: float, settings: Settings) -> float:
@@ -124,13 +135,13 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
     found = coefficients((*inputs, *record.outputs), start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     nu = sum(map(len, found[:len(inputs)]))
-    lines = np.vstack(found) @ basis.V
+    lines, last = basis.of(np.vstack(found)), np.arange(nmax + 1)[np.newaxis] == nmax
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
         u=lines[:nu], y=lines[nu:],
-        tail=basis.V[-1:] if exact else nothing,     # the lines of e_last = [0 ... 0 1]
+        tail=basis.of(last) if exact else nothing,   # the lines of e_last = [0 ... 0 1]
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
         unit=alpha, length=end - start)
 
@@ -140,7 +151,7 @@ def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int
     if exact:
         return basis.ones
     held = Signal(np.array([start]), np.ones((1, 1)), 'zoh')
-    return np.asarray(coefficients([held], start, end, alpha, nmax, [0.0])[0] @ basis.V)
+    return basis.of(coefficients([held], start, end, alpha, nmax, [0.0])[0])
 
 
 def _by_delay(record: Record,

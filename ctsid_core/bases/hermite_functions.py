@@ -34,6 +34,7 @@ _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 
 _CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
 _LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
 _LN2_LOW = 1.42860682030941723212e-6
+KEPT = 4                # sizes of bases, of up to 20 MB each: windows of one robot have about four
 _DECAY = 36.0               # beyond its reach h_nmax is below exp(-36) = 2e-16
 
 
@@ -109,7 +110,7 @@ def frequency_grid(nmax: int) -> Grid:
     return fourier_grid(float(reach), float(reach))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=KEPT)
 def frequency_table(nmax: int) -> Array:
     """Return h_n(w_j), (nmax + 1, J)."""
     return hermite_functions(nmax, frequency_grid(nmax).w)
