@@ -11,7 +11,7 @@ from plants import held_response, noisy, plant
 import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
-from ctsid_core.judge.lead import lead_of_outputs
+from ctsid_core.judge.lead import lead_by_search, lead_of_outputs
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_ros.studies.robots.inputs import KINDS, drive
@@ -136,3 +136,17 @@ def test_a_lead_with_which_no_model_without_one_is_near_is_told(late, kind):
     told = float(found.verdict.reason.split('answer about ')[1].split()[0])
     # To an interval of the input; a lag of 0.04 s, of the faster pole, may be taken for less lead
     assert late - 0.06 < told < late + 0.03
+
+
+def test_outputs_that_come_only_at_the_end_break_no_search_for_leads():
+    """A sensor that has returned: with all stamps of inputs earlier no sample is left."""
+    record = stamped(SECOND, 0.0)
+    y, = record.outputs
+    late = y.time > 18.2
+    found = identify(replace(record, outputs=(replace(y, time=y.time[late],
+                                                      values=y.values[late]),)))
+    assert not found.good
+    free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
+    none = lead_by_search(samples_of([replace(record, outputs=(replace(
+        y, time=y.time[late], values=y.values[late]),))], [[None]]), free, np.zeros(1))
+    assert none.tolist() == [0.0]

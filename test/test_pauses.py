@@ -352,3 +352,16 @@ def test_silence_at_the_end_is_longer_than_any_before_it(stamps, silent):
         found = silent_at_end(record)
         assert [one for one, _ in found] == ([name] if silent and name else [])
         assert not found or found[0][1] == pytest.approx(silent, abs=1e-9)
+
+
+def test_a_part_without_samples_of_an_input_is_none():
+    """Of 2 s without commands outputs know the middle; the test of the last model died of it."""
+    t_u, u, t_y, y = moved(1, duration=14.0)
+    heard = ~((t_u > 6.0) & (t_u < 8.0))
+    seen = ~(((t_y > 6.0) & (t_y < 6.6)) | ((t_y > 7.4) & (t_y < 8.0)))
+    record = Record.from_arrays(t_u[heard], u[heard], t_y[seen], y[seen], input_hold='zoh')
+    assert all(len(s.time) for part in between_pauses(record) for s in part.inputs)
+    tracker = Tracker(Settings(order=2))
+    found = [tracker.take(record.between(start, start + 10.0)) for start in (0.0, 2.0, 4.0)]
+    assert found[0].estimate.good
+    assert min(t.fresh_fit[0] for t in found[1:]) > 95.0

@@ -17,7 +17,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.identify import identify
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import simulation
+from ctsid_core.model.validation import Validation, simulation
 from ctsid_core.model.verdict import EXPLAINED, Grade, Verdict
 from ctsid_core.sequence import tracking
 from ctsid_core.sequence.alignment import aligning
@@ -588,3 +588,26 @@ def test_what_nothing_was_held_out_of_is_good_if_all_new_outputs_are_simulated_w
     verdict = tracking.in_sequence(found, np.array(fit), np.array(ratio), 0.1).verdict
     assert verdict.grade.name == grade
     assert ('not been tested' in verdict.reason) == (grade == 'WEAK')
+
+
+def test_poles_that_move_are_no_reason_where_the_previous_model_simulates_what_is_new(steady):
+    good = identify(steady[0], SETTINGS)
+    assert good.good
+    for ratio, grade in ((np.nan, Grade.WEAK), (1.1, Grade.GOOD)):
+        verdict = tracking.in_sequence(good, np.array([85.0]), np.array([ratio]), 4.0).verdict
+        assert verdict.grade is grade
+        assert ('moved by 4 standard deviations' in verdict.reason) == (grade is Grade.WEAK)
+
+
+def test_new_data_are_compared_with_the_worst_stretch_as_long_before_them():
+    """A gust of 2 s that has been there before is no change of the plant."""
+    times, gusts = np.arange(0.0, 10.0, 0.01), np.zeros(1000)
+    gusts[300:420] = gusts[850:950] = 1.0
+    y = np.sin(times)[:, np.newaxis]
+    found = Validation(times=times, y=y + gusts[:, np.newaxis] + 0.01, y_hat=y, fit=np.empty(0),
+                       vaf=np.empty(0), x0=np.empty(0))
+    record = Record.from_arrays(times, y, times, y)
+    new, before = (tracking._errors(found, times > 8.0),
+                   tracking._of_worst_stretch(found, 8.0, record))
+    assert new / before == pytest.approx(1.0, abs=0.2)
+    assert new / tracking._errors(found, times <= 8.0) > 1.7

@@ -23,6 +23,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
 from ctsid_core.search.by_order import SEARCHED, search_orders
 from ctsid_core.search.tried import Tried, beats, choose, criterion, parameters, price, tried
+from ctsid_core.signals.gaps import FEWEST
 
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
@@ -81,6 +82,8 @@ def lead_by_search(samples: Samples, free: Free, given: Array) -> Array:
     """
     reach, late = _REACH * samples.length, np.array(free.delays)
     early = _earlier(samples.thinned(SEARCHED), reach)
+    if np.min(early.counts.sum(axis=0)) < FEWEST:
+        return np.zeros(samples.nu)
     leading = replace(free, feedthrough=False, longest=free.longest + reach)
     _, tries = search_orders(
         early, leading, lambda n, delay: iter(()), order=0, max_order=_STATES,

@@ -489,8 +489,10 @@ def _times(ratio: float) -> str:
 
 def _moves(order: int, before: tuple[int, ...], moved: float,
            ratio: Array) -> Iterator[tuple[Remedy, str]]:
-    # Models of other orders are as good where the last one simulates the new data as the old.
-    if before and order not in before and not np.isfinite(ratio).all():
+    # Other orders and poles are as good where the last model simulates the new data as the old.
+    if np.isfinite(ratio).all():
+        return
+    if before and order not in before:
         yield Remedy.SETTING, (
             f'The order has changed from {before[0]} to {order} since the last accepted model; '
             'set `order` in the parameter file, to keep one.')

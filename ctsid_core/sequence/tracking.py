@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -240,7 +241,8 @@ def _fresh(past: _Past, record: Record) -> _Test:
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
     error = _errors(found, new)
-    before = past.error if apart else _errors(found, ~new)
+    before = past.error if apart else _of_worst_stretch(
+        found, (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP, record)
     spread = np.array([np.std(y[~np.isnan(y)]) if np.isfinite(y).any() else 0.0
                        for y in found.y.T])
     fit = 100.0 * (1.0 - error / np.where(spread > 0.0, spread, np.nan))
@@ -249,6 +251,19 @@ def _fresh(past: _Past, record: Record) -> _Test:
     error = _errors(compared, new)
     ratio = np.where(error > 0.0, error, np.nan) / np.where(before > 0.0, before, np.nan)
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
+
+
+def _of_worst_stretch(found: Validation, end: float, record: Record) -> Array:
+    """
+    Return the rms error of each output on that stretch before `end` [s] where it is largest.
+
+    Stretches are as long as the rest of the record: what disturbs a plant varies from one to the
+    next.
+    """
+    worst = _errors(found, found.times <= end)
+    for b, a in pairwise(np.arange(end, record.start, end - record.end).tolist()):
+        worst = np.fmax(worst, _errors(found, (found.times > a) & (found.times <= b)))
+    return worst
 
 
 def _errors(found: Validation, rows: Mask) -> Array:

@@ -55,6 +55,7 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     counts = [[len(s.time[s.rows(part.start, part.end)]) for s in part.outputs]
               for part in parts]
     kept = [max(own) >= (FEWEST if part.duration > _LONG * record.duration else _MANY * FEWEST)
+            and all(len(s.time) for s in part.inputs)
             for own, part in zip(counts, parts, strict=True)]
     if sum(map(sum, compress(counts, kept))) > 0.5 * sum(map(sum, counts)):
         return tuple(compress(parts, kept))

@@ -55,6 +55,9 @@ class IngestDiagnosis:
         self._config, self._start_ns = config, start_ns
         self._past: dict[str, _Past] = {}
         self._length = config.settings.window_length
+        # For so long a verdict stands that silence has a part in
+        self._told = self._length + config.settings.window_stride \
+            + config.settings.window_max_delay
         self._recent = Recent(self._length)
         self._silences: dict[str, tuple[int, float]] = {}  # the last of each: when, how long
         self.troubles: list[str] = []
@@ -89,9 +92,9 @@ class IngestDiagnosis:
                 if state.messages:
                     self._silences[topic] = now_ns, age
             elif topic in self._silences and 0.0 <= (
-                    since := (now_ns - self._silences[topic][0]) * 1e-9) < self._length:
+                    since := (now_ns - self._silences[topic][0]) * 1e-9) < self._told:
                 ended[topic] = (f'{topic} was silent for {self._silences[topic][1]:.1f} s until '
-                                f'{since:.0f} s ago, which is within the last window')
+                                f'{since:.0f} s ago, within the last windows')
             values |= {f'{topic} messages': state.messages,
                        f'{topic} rate [1/s]': self._rate(topic, state.messages, now_ns * 1e-9),
                        f'{topic} age [s]': age if state.messages else math.nan,
