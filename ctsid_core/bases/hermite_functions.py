@@ -34,7 +34,7 @@ _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 
 _CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
 _LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
 _LN2_LOW = 1.42860682030941723212e-6
-KEPT = 4                # sizes of bases, of up to 20 MB each: windows of one robot have about four
+KEPT = 6                # sizes of bases, of up to 20 MB each; windows of one robot have several
 _DECAY = 36.0               # beyond its reach h_nmax is below exp(-36) = 2e-16
 
 
