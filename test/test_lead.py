@@ -148,5 +148,5 @@ def test_outputs_that_come_only_at_the_end_break_no_search_for_leads():
     assert not found.good
     free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
     none = lead_by_search(samples_of([replace(record, outputs=(replace(
-        y, time=y.time[late], values=y.values[late]),))], [[None]]), free, np.zeros(1))
+        y, time=y.time[late], values=y.values[late]),))], [[None]]), free, np.zeros(1), None)
     assert none.tolist() == [0.0]

@@ -68,7 +68,7 @@ def findings() -> list[tuple[Remedy, str]]:
     verdicts += [rules.in_sequence(estimate, np.array([fit]), np.array([ratio]), moved,
                                    before).verdict
                  for fit, ratio, moved, before in ((9.0, 5.0, 0.0, ()), (99.0, np.nan, 0.0, (3,)),
-                                                   (99.0, 1.0, 9.0, (2,)))]
+                                                   (99.0, np.nan, 9.0, (2,)))]
     return [*found, *((v.remedy, v.reason) for v in verdicts)]
 
 

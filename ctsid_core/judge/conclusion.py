@@ -293,7 +293,8 @@ def _lead_by_search(solution: Solution, sought: tuple[bool, ...]) -> Array:
     samples = samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)), 0.0,
                          solution.samples.effort)
     free = free_of(samples, own_delays(part, solution.settings))
-    return lead_by_search(samples, replace(free, delays=sought), solution.delay)
+    poles = None if solution.simulated is None else solution.simulated[1].model.poles
+    return lead_by_search(samples, replace(free, delays=sought), solution.delay, poles)
 
 
 def _wrapped(part: Joint) -> Doubt | None:

@@ -22,6 +22,7 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
 from ctsid_core.search.by_order import SEARCHED, search_orders
+from ctsid_core.search.solution import NEARLY
 from ctsid_core.search.tried import Tried, beats, choose, criterion, parameters, price, tried
 from ctsid_core.signals.gaps import FEWEST
 
@@ -73,29 +74,34 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
     return found
 
 
-def lead_by_search(samples: Samples, free: Free, given: Array) -> Array:
+def lead_by_search(samples: Samples, free: Free, delay: Array,
+                   simulates: ComplexArray | None) -> Array:
     """
     Return by how much outputs answer before each input, (nu,) [s], whatever model was found.
 
     A few states are looked for anew, with leads: where these are long, no model without one is
-    near. Dead times that are not free are `given`, (nu,) [s].
+    near. That one has `delay`, (nu,) [s], and, if it `simulates`, these poles.
     """
     reach, late = _REACH * samples.length, np.array(free.delays)
     early = _earlier(samples.thinned(SEARCHED), reach)
-    if np.min(early.counts.sum(axis=0)) < FEWEST:
+    if np.min(early.counts) < FEWEST:
         return np.zeros(samples.nu)
     leading = replace(free, feedthrough=False, longest=free.longest + reach)
     _, tries = search_orders(
         early, leading, lambda n, delay: iter(()), order=0, max_order=_STATES,
-        known_delay=np.where(late, 0.0, given + reach))
+        known_delay=np.where(late, 0.0, delay + reach))
     if not tries:
         return np.zeros(samples.nu)
     led = tries[choose(tries)]
     found = np.where(late, np.maximum(reach - led.fit.model.delay, 0.0), 0.0)
     with suppress(np.linalg.LinAlgError):
-        alone = _climbed(early, led.fit.model.poles, np.maximum(led.fit.model.delay, reach),
-                         replace(leading, delays=(False,) * samples.nu))
-        if found.any() and led.rms < _MOST and _explains(led) and beats(led, alone):
+        # At the bound it stands in for what is not known before the window.
+        if not 0.0 < np.max(found) < NEARLY * reach or led.rms >= _MOST or not _explains(led):
+            return np.zeros(samples.nu)
+        fixed = replace(leading, delays=(False,) * samples.nu)
+        others = [(led.fit.model.poles, np.maximum(led.fit.model.delay, reach))]
+        others += [] if simulates is None else [(simulates, delay + reach)]
+        if all(beats(led, _climbed(early, *other, fixed)) for other in others):
             return found
     return np.zeros(samples.nu)
 
