@@ -60,27 +60,28 @@ class HermiteLines:
     """What depends on nmax alone."""
 
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
-    size: Array   # (nc, L): V without its factors (-i)^n
-
-    @property
-    def V(self) -> Lines:
-        """From coefficients to lines, the rest of them conjugates, (nc, L)."""
-        return self.of(np.eye(len(self.size)))
+    real: Array   # (nc, L): from coefficients to lines, without the factors (-i)^n
 
     def of(self, c: Array) -> Lines:
-        """Return the lines of coefficients (m, nc): c V, (m, L)."""
+        """Return the lines of coefficients (m, nc), the rest of them conjugates, (m, L)."""
         # Even orders have real lines, odd ones imaginary ones.
         signed = c * np.array([1.0, -1.0, -1.0, 1.0])[np.arange(c.shape[1]) % 4]
-        return np.asarray(signed[:, 0::2] @ self.size[0::2]
-                          + 1j * (signed[:, 1::2] @ self.size[1::2]))
+        return np.asarray(signed[:, 0::2] @ self.real[0::2]
+                          + 1j * (signed[:, 1::2] @ self.real[1::2]))
 
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
         # <h_n, 1>: odd ones vanish
-        c = np.zeros((1, len(self.size)))
+        c = np.zeros((1, len(self.real)))
         c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * free_motion(c.size)[1][0::2]
         return self.of(c)
+
+    @cached_property
+    def last(self) -> Lines:
+        """The lines of e_last = [0 ... 0 1], (1, L)."""
+        nc = len(self.real)
+        return self.of(np.eye(1, nc, nc - 1))
 
 
 @lru_cache(maxsize=KEPT)
@@ -135,13 +136,13 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
     found = coefficients((*inputs, *record.outputs), start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     nu = sum(map(len, found[:len(inputs)]))
-    lines, last = basis.of(np.vstack(found)), np.arange(nmax + 1)[np.newaxis] == nmax
+    lines = basis.of(np.vstack(found))
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
         u=lines[:nu], y=lines[nu:],
-        tail=basis.of(last) if exact else nothing,   # the lines of e_last = [0 ... 0 1]
+        tail=basis.last if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
         unit=alpha, length=end - start)
 

@@ -29,7 +29,6 @@ from ctsid_core.likelihood.residuals import (
     residuals,
     white_part,
 )
-from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
@@ -44,7 +43,7 @@ from ctsid_core.search.by_prediction import (
     held_interval,
     in_record,
 )
-from ctsid_core.search.corrupt import corrupt_rows
+from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import GROWS, Doubt, Solution, at_fastest, own_delays
 from ctsid_core.search.solve import free_of
@@ -290,8 +289,7 @@ def _lead(found: Array, part: Usable) -> Array:
 
 def _lead_by_search(solution: Solution, sought: tuple[bool, ...]) -> Array:
     part = solution.part
-    samples = samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)), 0.0,
-                         solution.samples.effort)
+    samples = samples_of_part(part, solution.samples.effort)
     free = free_of(samples, own_delays(part, solution.settings))
     poles = None if solution.simulated is None else solution.simulated[1].model.poles
     return lead_by_search(samples, replace(free, delays=sought), solution.delay, poles)

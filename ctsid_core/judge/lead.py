@@ -23,7 +23,16 @@ from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
 from ctsid_core.search.by_order import SEARCHED, search_orders
 from ctsid_core.search.solution import NEARLY
-from ctsid_core.search.tried import Tried, beats, choose, criterion, parameters, price, tried
+from ctsid_core.search.tried import (
+    Tried,
+    beats,
+    choose,
+    criterion,
+    parameters,
+    price,
+    roughly,
+    tried,
+)
 from ctsid_core.signals.gaps import FEWEST
 
 _REACH = 0.1          # of the longest record: leads that are looked for
@@ -65,10 +74,10 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
             led = tried(early, one, leading)
             if not _explains(led):
                 continue
-            own = own or _climbed(early, model.poles, delay, known)
+            own = own or roughly(early, model.poles, delay, known)
             # It is the lead that explains more, not that there are fewer poles; and where noise
             # hides a zero of the plant, with fewer numbers it explains as much.
-            alone = _climbed(early, one.model.poles, delay, replace(known, feedthrough=direct))
+            alone = roughly(early, one.model.poles, delay, replace(known, feedthrough=direct))
             if one.cost < own.fit.cost and beats(led, own) and beats(led, alone):
                 found = np.where(asked, np.maximum(delay - one.model.delay, 0.0), 0.0)
     return found
@@ -94,14 +103,14 @@ def lead_by_search(samples: Samples, free: Free, delay: Array,
         return np.zeros(samples.nu)
     led = tries[choose(tries)]
     found = np.where(late, np.maximum(reach - led.fit.model.delay, 0.0), 0.0)
+    # At the bound it stands in for what is not known before the window.
+    if not 0.0 < np.max(found) < NEARLY * reach or led.rms >= _MOST or not _explains(led):
+        return np.zeros(samples.nu)
+    fixed = replace(leading, delays=(False,) * samples.nu)
+    others = [(led.fit.model.poles, np.maximum(led.fit.model.delay, reach))]
+    others += [] if simulates is None else [(simulates, delay + reach)]
     with suppress(np.linalg.LinAlgError):
-        # At the bound it stands in for what is not known before the window.
-        if not 0.0 < np.max(found) < NEARLY * reach or led.rms >= _MOST or not _explains(led):
-            return np.zeros(samples.nu)
-        fixed = replace(leading, delays=(False,) * samples.nu)
-        others = [(led.fit.model.poles, np.maximum(led.fit.model.delay, reach))]
-        others += [] if simulates is None else [(simulates, delay + reach)]
-        if all(beats(led, _climbed(early, *other, fixed)) for other in others):
+        if all(beats(led, roughly(early, *other, fixed)) for other in others):
             return found
     return np.zeros(samples.nu)
 
@@ -111,11 +120,6 @@ def _explains(one: Tried) -> bool:
     nothing = replace(one, power=np.ones_like(one.power), parameters=0)
     return criterion(nothing, one) > 0.0 and bool(np.all(
         one.independent >= _NOISE * one.samples.counts.sum(axis=0)))
-
-
-def _climbed(samples: Samples, poles: ComplexArray, delay: Array, free: Free) -> Tried:
-    """Return the best model near these poles, and what its errors say."""
-    return tried(samples, climb_roughly(samples, fit_at(samples, poles, delay, free), free), free)
 
 
 def _with_fewer(poles: ComplexArray, direct: bool) -> Iterator[tuple[ComplexArray, bool]]:

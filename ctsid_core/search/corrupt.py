@@ -33,6 +33,12 @@ def corrupt_rows(part: Usable) -> tuple[Mask | None, ...]:
     return tuple(f.mask.any(axis=1) if f.any else None for f in part.corrupt_y)
 
 
+def samples_of_part(part: Joint, effort: Effort, ahead: float = 0.0) -> Samples:
+    """Return the samples of records but corrupt ones; `ahead` is as for `samples_of` [s]."""
+    return samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)), ahead,
+                      effort)
+
+
 def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
     """Return the records with samples corrupt whose errors stand out, or the same if none do."""
     parts = []

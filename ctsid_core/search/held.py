@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
+from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.tried import SEARCH, Tried, price, tried
+from ctsid_core.search.tried import SEARCH, Tried, price, roughly
 from ctsid_core.settings import Hold
 from ctsid_core.signals.record import channel_slices
 
@@ -44,7 +44,8 @@ def other_hold(samples: Samples, found: dict[int, Tried], best: Tried, free: Fre
             continue
         if samples.effort.leaves_out(_ASKED, SEARCH):
             return None
-        own = own or _climbed(samples, best, best.fit.model.delay, free)
+        model = best.fit.model
+        own = own or roughly(samples, model.poles, model.delay, free, best.fit)
         late = np.zeros(samples.nu)
         late[channels] = 0.5 * signal.period * (1.0 if signal.hold == 'zoh' else -1.0)
         without = replace(free, feedthrough=False)
@@ -62,17 +63,12 @@ def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,
     for one in smaller:
         model = one.fit.model
         with suppress(np.linalg.LinAlgError):
-            other = _climbed(samples, one, np.where(
-                free.delays, np.maximum(model.delay + late, 0.0), model.delay), free)
+            other = roughly(samples, model.poles, np.where(
+                free.delays, np.maximum(model.delay + late, 0.0), model.delay), free, one.fit)
             n_eff = np.maximum(np.minimum(own.independent, other.independent), 2.0)
             ratio = np.log(np.maximum(own.power, 1e-24) / np.maximum(other.power, 1e-24))
             each = min(float(np.log(n_eff.max())), price(samples))
             yield float(n_eff @ ratio) + each * (own.parameters - other.parameters)
-
-
-def _climbed(samples: Samples, one: Tried, delay: Array, free: Free) -> Tried:
-    start = fit_at(samples, one.fit.model.poles, delay, free, one.fit)
-    return tried(samples, climb_roughly(samples, start, free), free)
 
 
 def _held(samples: Samples, place: int, hold: Hold) -> Samples:

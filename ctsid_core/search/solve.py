@@ -23,7 +23,7 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.samples import Samples, samples_of
+from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
@@ -39,7 +39,7 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
-from ctsid_core.search.corrupt import corrupt_rows, without_outliers
+from ctsid_core.search.corrupt import corrupt_rows, samples_of_part, without_outliers
 from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.held import other_hold
 from ctsid_core.search.needless import without_needless
@@ -101,14 +101,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
 
 def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     own = own_delays(part, settings)
-
-    def known(ahead: float = 0.0) -> Samples:
-        return samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)),
-                          ahead, effort)
-    most = affordable(known())
+    most = affordable(samples_of_part(part, effort))
 
     def seen(ahead: float = 0.0) -> Samples:
-        return known(ahead).thinned(most)
+        return samples_of_part(part, effort, ahead).thinned(most)
 
     samples = seen()
     free = replace(free_of(samples, own), feedthrough=False)

@@ -26,7 +26,15 @@ from functools import cached_property
 import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING
-from ctsid_core.likelihood.output_error import STEPS, Fit, Free, Residuals, climb, fit_at
+from ctsid_core.likelihood.output_error import (
+    STEPS,
+    Fit,
+    Free,
+    Residuals,
+    climb,
+    climb_roughly,
+    fit_at,
+)
 from ctsid_core.likelihood.residuals import (
     coloured_costs,
     coloured_power,
@@ -34,7 +42,7 @@ from ctsid_core.likelihood.residuals import (
     residuals,
 )
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, ComplexArray
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
@@ -100,6 +108,13 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tri
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
     return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
+
+
+def roughly(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
+            near: Fit | None = None) -> Tried:
+    """Return the best model near poles and dead times, as far as it takes to compare it."""
+    start = fit_at(samples, poles, delay, free, near)
+    return tried(samples, climb_roughly(samples, start, free), free)
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:

@@ -17,11 +17,11 @@ import numpy as np
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at, fit_states
-from ctsid_core.likelihood.samples import Samples, samples_of
+from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.linear.matrix_functions import SOUND
 from ctsid_core.model.estimate import Choice
-from ctsid_core.search.corrupt import corrupt_rows
+from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import free_of, order_row
 from ctsid_core.search.tried import tried
@@ -38,8 +38,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
                        'as 0')
     settings = settings.with_known_delays().replace(refine=False)
     own = own_delays(part, settings)
-    samples = samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)),
-                         max(own.delays(len(part.parts[0].u))), effort)
+    samples = samples_of_part(part, effort, max(own.delays(len(part.parts[0].u))))
     free = replace(free_of(samples, own), delays=(False,) * samples.nu, limit=np.inf)
     orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
     best = _likeliest(method.models(part, own, orders, effort.check), samples, own, free)

@@ -239,10 +239,10 @@ def _fresh(past: _Past, record: Record) -> _Test:
         compared = simulation(past.model, record, trim='refit') if apart else found
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
-    new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
+    seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
+    new = found.times > seen
     error = _errors(found, new)
-    before = past.error if apart else _of_worst_stretch(
-        found, (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP, record)
+    before = past.error if apart else _of_worst_stretch(found, seen, record)
     spread = np.array([np.std(y[~np.isnan(y)]) if np.isfinite(y).any() else 0.0
                        for y in found.y.T])
     fit = 100.0 * (1.0 - error / np.where(spread > 0.0, spread, np.nan))

@@ -49,10 +49,6 @@ class HeaderClock:
         needed = sum(pair[0] >= before_ns for pair in self._pairs)
         self._pairs = self._pairs[-min(max(needed, _NEWEST), _KEPT):]
 
-    def _within(self, record: Record) -> NDArray[np.int64]:
-        start, end = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
-        return np.array([pair for pair in self._pairs if start <= pair[0] <= end], np.int64)
-
     def ahead(self, record: Record) -> float:
         """Return by how much the newest headers up to the end are ahead of the log, median [s]."""
         end = record.epoch_ns + round(record.end * 1e9)
@@ -61,7 +57,8 @@ class HeaderClock:
 
     def rate(self, record: Record, drift: float) -> float:
         """Return how fast the headers run within a record; 1 where it may be by a drift only."""
-        pairs = self._within(record)
+        start, end = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
+        pairs = np.array([pair for pair in self._pairs if start <= pair[0] <= end])
         if len(pairs) < _FEWEST:
             return 1.0
         log, header = ((pairs - pairs[0]) * 1e-9).T

@@ -106,9 +106,9 @@ class IngestDiagnosis:
         own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
         troubles = [*own, *faults, *silent]
         # Commands may be sent when they change: that is told beside a verdict that is not GOOD.
-        held = {topic for topic in ended if all(
+        held = [topic for topic in ended if all(
             c.hold == 'zoh' and c.role == 'input' for c in self._config.channels
-            if c.topic == topic)}
+            if c.topic == topic)]
         troubles += [line for topic, line in ended.items() if topic not in held]
         # What never came is reported as silent already.
         troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')

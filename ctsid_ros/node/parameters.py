@@ -200,7 +200,8 @@ def _given(node: Node) -> dict[str, object]:
 
 def _topic_faults(node: Node) -> list[str]:
     """Return what is wrong with names of topics and their types, as far as the node knows."""
-    faults, until = [], time.monotonic() + _DISCOVERY
+    graph, faults = dict(node.get_topic_names_and_types()), []
+    until = time.monotonic() + _DISCOVERY
     for name in _listed(node):
         topic, kind = (_value(node, f'{name}.{key}') for key in ('topic', 'type'))
         if not topic or not isinstance(topic, str):
@@ -209,9 +210,10 @@ def _topic_faults(node: Node) -> list[str]:
         try:
             own = node.resolve_topic_name(topic)
             # A node that has just started does not know yet what others publish.
-            while not (types := dict(node.get_topic_names_and_types()).get(own, ())) \
-                    and kind == '' and time.monotonic() < until:
+            while kind == '' and own not in graph and time.monotonic() < until:
                 time.sleep(0.05)
+                graph = dict(node.get_topic_names_and_types())
+            types = graph.get(own, ())
         except RuntimeError as error:  # RCLError: its class is private
             reason = str(error).partition(', at ')[0]
             faults.append(f'`{name}.topic` is {topic!r}, which cannot be a topic: {reason}')

@@ -7,7 +7,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
-import shlex
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import StorageError
@@ -23,7 +22,6 @@ from ctsid_ros.verbs.arguments import (
     add_params,
     add_report,
     add_style,
-    bag_words,
     check_channels,
     interval_of,
     model_file,
@@ -134,8 +132,7 @@ def command(args: argparse.Namespace) -> int:
 
 def _again(args: argparse.Namespace) -> str:
     """Return the command that makes a model of the recording."""
-    return shlex.join(('ctsid', 'identify', *bag_words(args), '--params',
-                       args.params or 'params.yaml'))
+    return replace(run_of(args), params=args.params or 'params.yaml').command('identify')
 
 
 def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> StateSpace:
