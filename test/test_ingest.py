@@ -398,7 +398,8 @@ def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, 
     (0.05, 0.01, False), (0.05, -0.05, False),      # or 50 ms; others take 40 and 100 ms to come
     (0.015, None, False), (-0.1, None, False), (-0.1, -0.002, False)])      # what takes its time
 def test_headers_from_the_future_are_of_another_clock(imu, cmd, told, length):
-    ingest, records = make(U, P, window_length=length, window_max_delay=6.0), []
+    ingest, records = make(U, P, window_length=length, window_stride=length / 16.0,
+                           window_max_delay=6.0), []
     for k in range(3000):
         log = EPOCH + k * S // 100
         for topic, ahead, x in (('/imu', imu, math.sin(k)), ('/cmd', cmd, math.cos(k))):
@@ -411,6 +412,18 @@ def test_headers_from_the_future_are_of_another_clock(imu, cmd, told, length):
     if told:
         assert record.faults[0].startswith(f'Headers of /imu are {imu:g} s ahead of when its ')
         assert 'those of u are not: their clocks differ' in record.faults[0]
+
+
+def test_headers_are_not_compared_with_the_clock_of_a_publisher():
+    """It may be that of the headers: here both are 0.05 s ahead of the recorder's."""
+    ingest, records = make(replace(U, stamp='publish'), P, window_length=10.0), []
+    for k in range(2000):
+        log = EPOCH + k * S // 100
+        ingest.push('/imu', log, 0, log + S // 20, (math.sin(k),))
+        ingest.push('/cmd', log, log + S // 20, None, (math.cos(k),))
+        records += ingest.due()
+    assert records
+    assert not any(record.faults for record in records)
 
 
 def test_the_clock_of_headers_is_the_same_from_rows():

@@ -14,6 +14,7 @@ from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
 from ctsid_core.judge.lead import lead_by_search, lead_of_outputs
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.inputs import KINDS, drive
 
 SECOND = plant([[0, 1], [-20, -3]], [[0], [20]], [[1, 0]])
@@ -148,5 +149,13 @@ def test_outputs_that_come_only_at_the_end_break_no_search_for_leads():
     assert not found.good
     free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
     none = lead_by_search(samples_of([replace(record, outputs=(replace(
-        y, time=y.time[late], values=y.values[late]),))], [[None]]), free, np.zeros(1), None)
+        y, time=y.time[late], values=y.values[late]),))], [[None]]), free, np.zeros(1))
     assert none.tolist() == [0.0]
+
+
+def test_chance_finds_no_lead_in_noise():
+    """Three states and any lead explain 1 % of this white noise, by more than their price."""
+    given = experiment('no-white', 106, 0)
+    found = identify(given.record, given.settings)
+    assert 'answer about' not in found.verdict.reason
+    assert 'does not follow the inputs' in found.verdict.reason

@@ -164,7 +164,8 @@ def test_a_parameter_file_for_another_node_is_said(live):
 @pytest.mark.parametrize('dead', ['/cmd', '/rate'])
 def test_a_silence_within_the_last_window_is_told_until_it_has_left(dead):
     """A topic is lost for 3 s; of a command, perhaps sent when it changes, as a cause only."""
-    config = replace(CONFIG, settings=CONFIG.settings.replace(window_length=4.0))
+    config = replace(CONFIG, settings=CONFIG.settings.replace(
+        window_length=4.0, window_max_delay=2.0))
     feed, look = Feed(config, TYPES, lambda _: 1), IngestDiagnosis(config, EPOCH)
     said, causes = {}, {}
     for second in range(20):
@@ -179,8 +180,8 @@ def test_a_silence_within_the_last_window_is_told_until_it_has_left(dead):
     assert f'{dead} was silent for 3.0 s until 1 s ago' in causes[8]
     assert f'{dead} was silent for 3.0 s until 3 s ago' in causes[10]
     assert ('was silent' in said[8]) == (dead == '/rate')
-    assert 'silent' in causes[11]                  # a verdict stands until the next window
-    assert 'silent' not in causes[12]
+    assert 'silent' in causes[13]                  # a verdict stands until the next window
+    assert 'silent' not in causes[14]
     # The computer's clock is set back.
     look.look(feed, EPOCH + 30 * S, 1.5, [], '')
     feed.take([Taken(EPOCH + 27 * S, '/rate', rate(EPOCH, 0.1)),

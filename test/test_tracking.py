@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.errors import DataError
 from ctsid_core.identify import identify
-from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, simulation
 from ctsid_core.model.verdict import EXPLAINED, Grade, Verdict
@@ -611,3 +611,48 @@ def test_new_data_are_compared_with_the_worst_stretch_as_long_before_them():
                    tracking._of_worst_stretch(found, 8.0, record))
     assert new / before == pytest.approx(1.0, abs=0.2)
     assert new / tracking._errors(found, times <= 8.0) > 1.7
+
+
+def test_offsets_of_windows_apart_are_their_own():
+    """A sensor whose zero has wandered meanwhile is no other plant."""
+    settings = Settings(order=1, feedthrough=False, delay=0.0)
+    whole = late_lag(0.0, 40.0)
+    y, = whole.outputs
+    moved = replace(whole, outputs=(replace(y, values=y.values + 0.5 * (
+        y.time >= 20.0)[:, np.newaxis]),))
+    after = run([moved.between(1.0, 20.0), moved.between(20.5, 40.0)], settings)[1]
+    assert after.fresh_fit[0] < 60.0
+    assert after.estimate.verdict.fresh_ratio[0] == pytest.approx(1.0, abs=0.2)
+    assert after.estimate.good
+
+
+def test_few_older_data_are_no_measure_of_what_a_model_leaves():
+    """The window before ended within this one, after the plant had changed."""
+    settings = Settings(order=1, feedthrough=False, delay=0.0)
+    whole = late_lag(0.0, 40.0)
+    y, = whole.outputs
+    weaker = replace(whole, outputs=(replace(y, values=0.7 * y.values),))
+    after = run([whole.between(1.0, 20.0), weaker.between(18.0, 36.0)], settings)[1]
+    assert after.estimate.verdict.fresh_ratio[0] > 3.0
+    assert after.estimate.verdict.grade is Grade.WEAK
+
+
+def test_what_a_model_leaves_is_what_it_leaves_of_what_it_has_not_seen(steady):
+    found = identify(steady[0], SETTINGS)
+    motion = np.std(steady[0].outputs[0].values[steady[0].outputs[0].rows(
+        steady[0].start, steady[0].end)])
+    for held_out, wanted in ((0.2, 0.2), (0.05, 0.1), (np.nan, 0.1)):
+        verdict = replace(found.verdict, error=np.array([0.1]),
+                          held_out_error=np.array([held_out]))
+        assert tracking._error(replace(found, verdict=verdict), steady[0]) == pytest.approx(
+            [wanted * motion])
+    predicted = replace(found, choices=(Choice('domain', 'predictions', 'why'),))
+    assert np.isnan(tracking._error(predicted, steady[0])).all()
+
+
+def test_an_uncertain_pole_is_told_where_new_data_lift_a_verdict(steady):
+    found = identify(steady[0], SETTINGS.replace(held_out=0.0))
+    unsure = replace(found, verdict=replace(found.verdict, pole_uncertainty=1.6))
+    verdict = tracking.in_sequence(unsure, np.array([98.0]), np.array([1.0]), 0.1).verdict
+    assert verdict.grade is Grade.GOOD
+    assert verdict.reason.endswith('of its size: do not use that pole by itself.')

@@ -291,8 +291,7 @@ def _lead_by_search(solution: Solution, sought: tuple[bool, ...]) -> Array:
     part = solution.part
     samples = samples_of_part(part, solution.samples.effort)
     free = free_of(samples, own_delays(part, solution.settings))
-    poles = None if solution.simulated is None else solution.simulated[1].model.poles
-    return lead_by_search(samples, replace(free, delays=sought), solution.delay, poles)
+    return lead_by_search(samples, replace(free, delays=sought), solution.delay)
 
 
 def _wrapped(part: Joint) -> Doubt | None:

@@ -83,13 +83,12 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
     return found
 
 
-def lead_by_search(samples: Samples, free: Free, delay: Array,
-                   simulates: ComplexArray | None) -> Array:
+def lead_by_search(samples: Samples, free: Free, given: Array) -> Array:
     """
     Return by how much outputs answer before each input, (nu,) [s], whatever model was found.
 
     A few states are looked for anew, with leads: where these are long, no model without one is
-    near. That one has `delay`, (nu,) [s], and, if it `simulates`, these poles.
+    near. Dead times that are not free are `given`, (nu,) [s].
     """
     reach, late = _REACH * samples.length, np.array(free.delays)
     early = _earlier(samples.thinned(SEARCHED), reach)
@@ -98,7 +97,7 @@ def lead_by_search(samples: Samples, free: Free, delay: Array,
     leading = replace(free, feedthrough=False, longest=free.longest + reach)
     _, tries = search_orders(
         early, leading, lambda n, delay: iter(()), order=0, max_order=_STATES,
-        known_delay=np.where(late, 0.0, delay + reach))
+        known_delay=np.where(late, 0.0, given + reach))
     if not tries:
         return np.zeros(samples.nu)
     led = tries[choose(tries)]
@@ -106,11 +105,10 @@ def lead_by_search(samples: Samples, free: Free, delay: Array,
     # At the bound it stands in for what is not known before the window.
     if not 0.0 < np.max(found) < NEARLY * reach or led.rms >= _MOST or not _explains(led):
         return np.zeros(samples.nu)
-    fixed = replace(leading, delays=(False,) * samples.nu)
-    others = [(led.fit.model.poles, np.maximum(led.fit.model.delay, reach))]
-    others += [] if simulates is None else [(simulates, delay + reach)]
     with suppress(np.linalg.LinAlgError):
-        if all(beats(led, roughly(early, *other, fixed)) for other in others):
+        alone = roughly(early, led.fit.model.poles, np.maximum(led.fit.model.delay, reach),
+                        replace(leading, delays=(False,) * samples.nu))
+        if beats(led, alone):
             return found
     return np.zeros(samples.nu)
 

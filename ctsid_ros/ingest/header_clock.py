@@ -47,7 +47,7 @@ class HeaderClock:
     def forget(self, before_ns: int) -> None:
         """Forget what no window from a time on [ns] needs."""
         needed = sum(pair[0] >= before_ns for pair in self._pairs)
-        self._pairs = self._pairs[-min(max(needed, _NEWEST), _KEPT):]
+        self._pairs = self._pairs[-min(needed + _NEWEST, _KEPT):]
 
     def ahead(self, record: Record) -> float:
         """Return by how much the newest headers up to the end are ahead of the log, median [s]."""
