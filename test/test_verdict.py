@@ -181,6 +181,30 @@ def test_a_plant_at_rest_is_not_stuck():
     assert 'exactly the same value' not in verdict.reason
 
 
+@pytest.mark.parametrize(('seed', 'jitter'), [
+    (0, 0.0), (1, 0.1), *slow(*((s, j) for s in range(2, 12) for j in (0.0, 0.1)))])
+def test_an_encoder_at_rest_is_not_stuck(seed, jitter):
+    """
+    A wheel that starts from rest and stops, its speed counts over the time they took.
+
+    While it turns, one count more and one less take turns, and floating point adds digits of
+    its own.
+    """
+    rng = np.random.default_rng(seed)
+    lag, fine = plant([[-1.0 / 0.15]], [[12.0 / 0.15]], [[1.0]]), np.arange(0.0, 10.0, 0.001)
+    u = np.repeat([0.0, 0.0, *rng.uniform(-1.0, 1.0, 10), 0.0, 0.0, *rng.uniform(-1.0, 1.0, 6)],
+                  25)[:, np.newaxis]
+    at = np.arange(0.0, 10.0, 0.02)
+    angle = 0.001 * np.cumsum(held_response(lag, at, u, fine)[:, 0])
+    t = np.arange(0.05, 9.9, 0.01) + jitter * rng.uniform(-0.005, 0.005, 985)
+    count = 2.0 * np.pi / 1024.0
+    counted = count * np.floor(np.interp(t, fine, angle) / count)
+    y = np.diff(counted) / np.diff(t)
+    verdict = judged(Record.from_arrays(at, u, t[1:], y, input_hold='zoh'))
+    assert 'exactly the same value' not in verdict.reason
+    assert verdict.grade is Grade.GOOD
+
+
 def heater(seed: int, *, resolution: float = 0.25) -> Record:
     """
     Return 600 s of 30 exp(-6 s) / ((90 s + 1) (5 s + 1)), at rest for the first 60.
