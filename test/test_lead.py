@@ -159,3 +159,19 @@ def test_chance_finds_no_lead_in_noise():
     found = identify(given.record, given.settings)
     assert 'answer about' not in found.verdict.reason
     assert 'does not follow the inputs' in found.verdict.reason
+
+
+@pytest.mark.parametrize('seed', [8, *slow(16, 23, *range(24, 40))])
+def test_sines_tell_no_lead(seed):
+    """Of two integrators and a trim, moved by two sines: a lead is a lag of less than a period."""
+    rng = np.random.default_rng(seed)
+    speed, first = rng.uniform(0.3, 1.5), 2.0 * np.pi * rng.uniform(0.2, 0.5)
+    p = plant([[-8.0, 0.0, 0.0], [speed, 0.0, 0.0], [0.0, 1.0, 0.0]], [[8.0], [0.0], [0.0]],
+              [[0.0, 0.4, 1.0]])
+    t_u, t = np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 11.9, 0.01)
+    u = (t_u >= 0.0) * (np.sin(first * t_u) + rng.uniform(0.4, 0.9) * np.sin(
+        first * rng.uniform(2.2, 4.1) * t_u + rng.uniform(0.0, 6.0)))
+    y = noisy(rng, held_response(p, t_u, u[:, np.newaxis], t), rng.uniform(15.0, 35.0))
+    found = identify(Record.from_arrays(t_u, u, t, y, input_hold='zoh'))
+    assert found.verdict.grade is not Grade.GOOD
+    assert 'before input' not in found.verdict.reason

@@ -398,6 +398,28 @@ def test_levels_that_are_sent_when_they_change_excite_as_those_sent_again_and_ag
             often.excitation[0].frequencies, rel=0.4)
 
 
+@pytest.mark.parametrize(('shape', 'seed'), [('stick', 0), ('ramps', 9), *slow(
+    *((shape, seed) for shape in ('stick', 'ramps') for seed in range(10, 20)))])
+def test_what_hands_and_machines_send_is_no_two_sines(shape, seed):
+    """A stick with a dead band, or ramps that are held: two sines make most of the motion."""
+    rng, t_u, t = np.random.default_rng(seed), np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 12, 0.01)
+    if shape == 'stick':
+        waves = 2.0 * np.pi * rng.uniform(0.05, 0.4, 6)
+        u = np.sin(np.outer(t_u, waves) + rng.uniform(0.0, 6.0, 6)) @ rng.standard_normal(6)
+        u -= np.clip(u, -0.6 * u.std(), 0.6 * u.std())
+    else:
+        u = np.interp(t_u, np.sort(rng.uniform(0.0, 12.0, 10)), np.repeat(
+            rng.uniform(-1.0, 1.0, 5), 2))
+    p = plant([[0.0, 1.0], [-9.0, -3.0]], [[0.0], [9.0]], [[1.0, 0.0]])
+    y = noisy(rng, held_response(p, t_u, u[:, np.newaxis], t), 30)
+    found = identify(Record.from_arrays(t_u, u, t, y, input_hold='zoh'))
+    assert found.good
+    other = np.repeat(rng.choice([-1.0, 1.0], 65), 10)          # 0.2 s each
+    y = held_response(p, t_u, other[:, np.newaxis], t)
+    test = Record.from_arrays(t_u, other, t, y, input_hold='zoh')
+    assert simulation(found.model, test, trim='refit').fit[0] > 90.0
+
+
 def test_a_slow_sweep_is_at_many_frequencies():
     """From 0.1 to 0.95 Hz in ten seconds; the middle of these alone is at hardly two."""
     def sweep(rng, t):

@@ -18,7 +18,13 @@ from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
-from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
+from ctsid_core.judge.rules import (
+    change_note,
+    few_sines,
+    judge,
+    pole_uncertainty,
+    tested,
+)
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
@@ -83,8 +89,10 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     if simulated is not None and solution.plant is not None and curves.any():
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
+    # A lead of sines is a lag of less than a period.
+    sought = tuple(asked and not few_sines(one) for asked, one in zip(sought, seen[0], strict=False))
     # Last what a budget may leave out.
-    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.leaves_out(
+    lead = np.zeros(moving.nu) if simulated is None or not any(sought) or effort.leaves_out(
         'whether outputs answer before inputs') else lead_of_outputs(*simulated, sought)
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
@@ -94,7 +102,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
-    if verdict.grade is not Grade.GOOD and sought and not lead.any() and not effort.over:
+    if verdict.grade is not Grade.GOOD and any(sought) and not lead.any() and not effort.over:
         lead = _lead_by_search(solution, sought)
         if lead.any():
             status, verdict = judge(replace(evidence, lead=_lead(lead, last)))

@@ -190,25 +190,27 @@ class _Acting:
         """
         Return the effective number of frequencies of an input.
 
-        By the shares of sines that are taken from it one after the other, the largest first, every
-        octave alike; the rest is of such as the last. The edges of its hold count as far as the
-        plant answers to them [rad/s].
+        As many as have, with equal shares, the entropy of the shares of sines that are taken from
+        it one after the other, the largest first, every octave alike; the rest is of such as the
+        last. The edges of its hold count as far as the plant answers to them [rad/s].
         """
         count, largest = self.differences.shape[1], np.max(np.abs(self.differences[j]))
         left = self.differences[j] / (largest or 1.0)
         omega = 2.0 * np.pi * np.fft.rfftfreq(_FINER * count, self.step)[:-1]
         end = int(np.searchsorted(omega, max(self.half_rate[j], answered)))
         seen, times = slice(_FINER, max(end, _FINER + 1)), self.step * np.arange(count)
-        taken = squares = 0.0
+        shares: list[float] = []
         while True:
             power = np.abs(np.fft.rfft(left, _FINER * count)[seen]) ** 2 / omega[seen]
             rest, best = float(power.sum()) / _FINER, float(omega[seen][np.argmax(power)])
             waves = np.column_stack((np.cos(best * times), np.sin(best * times)))
             sine = waves @ np.linalg.solve(waves.T @ waves, waves.T @ left)
             share = 0.5 * count * float(sine @ sine) / best
-            if not share > _LEFT * (taken + rest):
-                return float((taken + rest) ** 2 / max(squares + rest * share, 1e-300))
-            taken, squares = taken + share, squares + share ** 2
+            if not share > _LEFT * (sum(shares) + rest):
+                weights = np.array([*shares, rest]) / max(sum(shares) + rest, 1e-300)
+                sizes = np.append(weights[:-1], share / max(sum(shares) + rest, 1e-300))
+                return float(np.exp(-weights @ np.log(np.maximum(sizes, 1e-300))))
+            shares.append(share)
             left -= sine
 
 

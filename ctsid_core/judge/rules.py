@@ -41,8 +41,8 @@ KNOWN = 0.12            # standard deviation of the response to an input, over t
 _SURELY = 1.25          # times the motion that makes a response known: with less noise there may
                         # be more states
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
-_LEAKS = 0.25           # frequencies more than its sines that an input seems to have: one sine
-                        # sent at 5 to 100 Hz has 1.16, two have 2.21 at most in 99 of 100
+_LEAKS = 0.6            # frequencies more than its sines that an input seems to have: one sine
+                        # sent at 5 to 100 Hz has 1.45, two have 2.61 at most in 99 of 100
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
@@ -233,7 +233,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     moving = [both for j, both in enumerate(zip(e.numbers.excitation, e.apart, strict=False))
               if j not in e.fixed_inputs]
     for one, _ in moving:
-        if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:
+        if few_sines(one, len(e.poles)):
             count = round(one.frequencies)
             yield Remedy.EXCITE, (
                 f'Nearly all of the motion of input {one.name} is at about {count} '
@@ -275,6 +275,11 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     # Last: new data lift this, and must not lift anything beside it (`in_sequence`).
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
+
+
+def few_sines(one: Excitation, states: int = _SINES) -> bool:
+    """Return whether an input is at no more frequencies than models of so many states fit."""
+    return one.frequencies < min(states, _SINES) + _LEAKS
 
 
 def _more(times: float, *, alone: bool) -> str:

@@ -83,6 +83,7 @@ _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _AROUND = np.linspace(-1.0, 1.0, 21)        # sample intervals, of which the mean is taken
 _FEWEST = 3           # states: fewer are found by a grid of poles
+_CLEARLY = 0.1        # -2 log likelihood for each sample
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
 _PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
@@ -110,9 +111,11 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, samples, free)
-    # A plant that grows predictions tell at once: of closed loops many states simulate the record.
-    if predicted is not None and _growth(predicted, samples) > GROWS and (
-            solved := _as_likely(part, settings, seen, samples, free, predicted)):
+    # A plant that grows predictions tell at once, and one that they predict clearly better than a
+    # simulation near it would: of closed loops many states simulate the record.
+    grows = predicted is not None and _growth(predicted, samples) > GROWS
+    if predicted is not None and (grows or not settings.order) and (solved := _as_likely(
+            part, settings, seen, samples, free, predicted, 0.0 if grows else _CLEARLY)):
         return solved
     subspace = _Subspace(part, own, effort)
     samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
@@ -573,7 +576,7 @@ def _compared(part: Joint, place: int) -> Compared:
 
 
 def _as_likely(part: Joint, settings: Settings, seen: Seen, samples: Samples, free: Free,
-               found: PredictionFit) -> Solution | None:
+               found: PredictionFit, clearly: float = 0.0) -> Solution | None:
     """Return the plant that predictions found, if likelier than the best simulation near it."""
     poles = bounded(np.linalg.eigvals(found.matrices.A).astype(complex), free.limit, np.inf)
     thin, near = samples.thinned(SEARCHED), None
@@ -581,18 +584,20 @@ def _as_likely(part: Joint, settings: Settings, seen: Seen, samples: Samples, fr
         start = fit_at(thin, poles, found.found.fit.model.delay[:samples.nu], free)
         top = climb_roughly(thin, start, free)
         near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
-    return None if near is None else _likelier(
-        part, settings, seen, samples, near, free, found)
+    return None if near is None or clearly and near.unexplained < UNEXPLAINED else _likelier(
+        part, settings, seen, samples, near, free, found, clearly)
 
 
 def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
-              free: Free, found: PredictionFit) -> Solution | None:
+              free: Free, found: PredictionFit, clearly: float = 0.0) -> Solution | None:
     """
     Return the plant that predictions found where they are likelier than a simulation's.
 
+    By at least `clearly` for each sample.
+
     If it simulates, that is what it is judged by, else by predictions.
     """
-    if not _predicts_better(part, samples, best, found):
+    if not _predicts_better(part, samples, best, found, clearly):
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > GROWS else _plant_of(part, samples, found, free)
@@ -611,7 +616,7 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
 
 
 def _predicts_better(part: Joint, samples: Samples, best: Tried,
-                     found: PredictionFit) -> bool:
+                     found: PredictionFit, clearly: float = 0.0) -> bool:
     """
     Return whether the plant that predictions found predicts better than a simulation's.
 
@@ -652,8 +657,8 @@ def _predicts_better(part: Joint, samples: Samples, best: Tried,
             # Errors so far ahead are alike for as long.
             far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
     # Fewer numbers are no reason to give up a simulation.
-    return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
-        and far <= 0.0
+    more = price(samples) * max(found.found.parameters - numbers, 0)
+    return gain >= max(more, clearly * float(np.sum(samples.counts))) and far <= 0.0
 
 
 def _growth(found: PredictionFit, samples: Samples) -> float:
