@@ -402,7 +402,8 @@ def test_levels_that_are_sent_when_they_change_excite_as_those_sent_again_and_ag
     *((shape, seed) for shape in ('stick', 'ramps') for seed in range(10, 20)))])
 def test_what_hands_and_machines_send_is_no_two_sines(shape, seed):
     """A stick with a dead band, or ramps that are held: two sines make most of the motion."""
-    rng, t_u, t = np.random.default_rng(seed), np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 12, 0.01)
+    rng = np.random.default_rng(seed)
+    t_u, t = np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 12.0, 0.01)
     if shape == 'stick':
         waves = 2.0 * np.pi * rng.uniform(0.05, 0.4, 6)
         u = np.sin(np.outer(t_u, waves) + rng.uniform(0.0, 6.0, 6)) @ rng.standard_normal(6)

@@ -90,7 +90,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     # A lead of sines is a lag of less than a period.
-    sought = tuple(asked and not few_sines(one) for asked, one in zip(sought, seen[0], strict=False))
+    sought = tuple(asked and not few_sines(one)
+                   for asked, one in zip(sought, seen[0], strict=False))
     # Last what a budget may leave out.
     lead = np.zeros(moving.nu) if simulated is None or not any(sought) or effort.leaves_out(
         'whether outputs answer before inputs') else lead_of_outputs(*simulated, sought)
