@@ -275,3 +275,27 @@ def test_a_change_of_one_output_is_seen_however_often_others_come(seed, every):
     found = identify(Record((Signal(t, u, 'zoh'),), tuple(signals), 0.0, 29.9))
     assert found.status is Status.CHANGED
     assert found.statistics['change_share'] == pytest.approx(0.5, abs=0.02)
+
+
+def switched(seed: int, *, later: float = 0.0, times: float = 1.0) -> Record:
+    """Return 12 s of a pair under random switches; dead time and gain jump near the middle."""
+    rng = np.random.default_rng(seed)
+    t_u, t = np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 11.9, 0.01)
+    w, damping = rng.uniform(4.0, 12.0), rng.uniform(0.3, 0.8)
+    p = plant([[0.0, 1.0], [-w * w, -2.0 * damping * w]], [[0.0], [w * w]], [[1.0, 0.0]])
+    edges = np.cumsum(rng.exponential(1.2, 40))
+    u = rng.choice([-1.0, 1.0]) * (-1.0) ** np.searchsorted(edges, t_u)
+    after = t_u > rng.uniform(0.4, 0.6) * 12.0
+    acts = u[np.searchsorted(t_u, t_u - later * after - 1e-9)] * np.where(after, times, 1.0)
+    y = held_response(p, t_u + 0.05, acts[:, np.newaxis], t)
+    return Record.from_arrays(t_u, u, t, noisy(rng, y, 30), input_hold='zoh')
+
+
+@pytest.mark.parametrize(('feedthrough', 'how', 'seed'), [
+    (True, {'later': 0.12}, 6), (False, {'times': 1.4}, 21), *slow(*(
+        (feedthrough, how, seed) for feedthrough in (False, True)
+        for how in ({'later': 0.12}, {'times': 1.4}) for seed in (7, 21, *range(25, 35))))])
+def test_states_that_imitate_a_jump_hide_it_with_no_setting_of_D(feedthrough, how, seed):
+    """Predictions find the plant, and no simulation was asked with its states (10 of 160 GOOD)."""
+    found = identify(switched(seed, **how), Settings(feedthrough=feedthrough))
+    assert found.status is Status.CHANGED

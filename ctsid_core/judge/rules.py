@@ -251,7 +251,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             remedy, cure = (Remedy.EXCITE, alone) if one.own < _UNCORRELATED else (
                 Remedy.SIGNALS, 'a pole is as fast as any that is looked for: sample the outputs '
                 'faster') if e.fastest else (Remedy.EXCITE, _more(
-                    one.uncertainty / KNOWN, alone=len(e.input_names) == 1))
+                    one.uncertainty, alone=len(e.input_names) == 1))
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
                 f', for models of other orders that may be as right are {_percent(apart)} away '
                 'from it')
@@ -282,14 +282,16 @@ def few_sines(one: Excitation, states: int = _SINES) -> bool:
     return one.frequencies < min(states, _SINES) + _LEAKS
 
 
-def _more(times: float, *, alone: bool) -> str:
+def _more(deviation: float, *, alone: bool) -> str:
     """Return how much more motion divides a deviation so often, and how much more time."""
-    times *= _SURELY
-    if not times < 10.0:
-        return 'move it much more (as it moves: take a much longer window)' + (
-            '' if alone else ', or, if no output follows it, leave it out of `inputs`')
-    return f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
-        f'window {np.ceil(10.0 * times ** 2) / 10.0:.3g} times as long)'
+    times = _SURELY * deviation / KNOWN
+    cure = 'move it much more (as it moves: take a much longer window)'
+    if times < 10.0:
+        cure = f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
+            f'window {np.ceil(10.0 * times ** 2) / 10.0:.3g} times as long)'
+    # Within two deviations there may be no response at all.
+    return cure if alone or deviation < 0.5 else \
+        f'if no output follows it, leave it out of `inputs`, else {cure}'
 
 
 def _of_motion(e: Evidence, i: int) -> str:

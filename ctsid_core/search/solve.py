@@ -215,7 +215,8 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
     return replace(
         solved, simulating=(solved.samples, best.fit, free),
-        smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
+        smaller=(*solved.smaller, *_smaller(
+            solved.samples, orders, best, replace(free, feedthrough=False))))
 
 
 class _Plant(NamedTuple):
@@ -284,7 +285,8 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
          *_at_bound(one, plant.free)), plant=plant.matrices,
         doubt=_late(part, one, plant.free)
         or _doubt(fit.model.poles, samples, plant.free, settings),
-        predictor=(found.samples, found.found.fit, found.free))
+        predictor=(found.samples, found.found.fit, found.free),
+        smaller=((climb_roughly(samples, one.fit, plant.free).model, plant.free),))
 
 
 def _neighbour(found: dict[int, Tried], chosen: int) -> int:
