@@ -292,10 +292,41 @@ def switched(seed: int, *, later: float = 0.0, times: float = 1.0) -> Record:
 
 
 @pytest.mark.parametrize(('feedthrough', 'how', 'seed'), [
-    (True, {'later': 0.12}, 6), (False, {'times': 1.4}, 21), *slow(*(
+    (True, {'later': 0.12}, 6), *slow((True, {'times': 1.4}, 21), *(
         (feedthrough, how, seed) for feedthrough in (False, True)
-        for how in ({'later': 0.12}, {'times': 1.4}) for seed in (7, 21, *range(25, 35))))])
-def test_states_that_imitate_a_jump_hide_it_with_no_setting_of_D(feedthrough, how, seed):
-    """Predictions find the plant, and no simulation was asked with its states (10 of 160 GOOD)."""
+        for how in ({'later': 0.12}, {'times': 1.4}) for seed in (7, *range(25, 35))))])
+def test_states_that_imitate_a_jump_do_not_hide_it(feedthrough, how, seed):
+    """Predictions found the plant, and no simulation was asked with its states: 7 of 80 GOOD."""
     found = identify(switched(seed, **how), Settings(feedthrough=feedthrough))
     assert found.status is Status.CHANGED
+
+
+@pytest.mark.parametrize(('start', 'feedthrough'), [(29.0, False), *slow((34.0, False),
+                                                                         (29.0, True))])
+def test_gusts_on_a_stick_flown_plant_are_no_change(start, feedthrough):
+    """One model fits 96 and 95 %; two of the simulation near the plant 96 and 96 %."""
+    rng, step = np.random.default_rng(3), 0.004
+    level, at = np.zeros(3000), 100
+    while at < 3000:
+        until = at + int(rng.uniform(0.6, 3.0) / 0.02)
+        level[at:until] = 0.0 if rng.random() < 0.3 else rng.uniform(-1.0, 1.0)
+        at = until
+    u, x = np.zeros(3000), 0.0
+    for k in range(3000):
+        x += (level[k] - x) / 6.0
+        u[k] = x
+    u += 0.02 * rng.standard_normal(3000)
+    u = np.sign(u) * np.maximum(np.abs(u) - 0.1, 0.0) / 0.9
+    moves = expm(step * np.array([[0, 1, 0, 0], [-36, -6, 12.6, 1], [0] * 4, [0, 0, 0, -1.0]]))
+    z, y = np.zeros(4), []
+    for k in range(15000):
+        late = int(np.floor((k * step - 0.08) / 0.02 + 1e-9))
+        z[2] = u[late] if late >= 0 else 0.0
+        if k % 2 == 0:
+            y.append(z[0] + 0.004 * rng.standard_normal())
+        z = moves @ z
+        z[3] += 0.25 * np.sqrt(step) * rng.standard_normal()
+    record = Record.from_arrays(0.02 * np.arange(3000), u, 0.008 * np.arange(7500), np.array(y),
+                                input_hold='zoh')
+    found = identify(record.between(start, start + 10.0), Settings(feedthrough=feedthrough))
+    assert found.status is Status.OK

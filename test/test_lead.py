@@ -175,3 +175,16 @@ def test_sines_tell_no_lead(seed):
     found = identify(Record.from_arrays(t_u, u, t, y, input_hold='zoh'))
     assert found.verdict.grade is not Grade.GOOD
     assert 'before input' not in found.verdict.reason
+
+
+@pytest.mark.parametrize('seed', [14, *slow(15)])
+def test_a_stick_tells_the_lead_of_a_lag(seed):
+    """Its motion is at about two frequencies, and one suffices for the model: it was GOOD."""
+    rng = np.random.default_rng(seed)
+    t_u, t = np.arange(-2.0, 12.0, 0.02), np.arange(0.0, 12.0, 0.01)
+    u = np.sin(np.outer(t_u, 2.0 * np.pi * rng.uniform(0.05, 0.4, 6))
+               + rng.uniform(0.0, 6.0, 6)) @ rng.standard_normal(6)
+    y = noisy(rng, held_response(LAG, t_u, u[:, np.newaxis], t), 30)
+    found = identify(Record.from_arrays(t_u + 0.1, u, t, y, input_hold='zoh'))
+    assert found.verdict.excitation[0].frequencies < 2.6
+    assert found.verdict.reason.startswith('Outputs answer about 0.11 s before input u1 moves')

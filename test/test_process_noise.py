@@ -13,6 +13,8 @@ from scipy.signal import butter, lfilter
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
+from ctsid_core.search import solve
+from ctsid_core.search.by_order import search_orders
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 from ctsid_ros.studies.experiments import flown
@@ -482,3 +484,20 @@ def test_an_order_that_is_given_as_it_was_found_makes_no_model_worse(family, see
     print(family, fits)
     assert found.choices
     assert fits[1] > fits[0] - 0.5
+
+
+@pytest.mark.parametrize(('family', 'seed', 'number', 'settings', 'searched'), [
+    ('rates-1x1', 300, 4, {}, False), ('rates-1x1', 300, 4, {'order': 2}, True),
+    ('set-points', 300, 2, {}, True), ('saturation-30', 105, 0, {}, True), *slow(
+        ('rates-4x3', 300, 1, {}, False), ('sliding-mass', 105, 0, {}, True),
+        ('gain-drift', 105, 6, {}, True))])
+def test_simulations_are_searched_for_unless_predictions_leave_clearly_less(
+        monkeypatch, family, seed, number, settings, searched):
+    """Of loops only the one near the plant is compared; others may be better elsewhere."""
+    made = []
+    monkeypatch.setattr(solve, 'search_orders', lambda *args, **kwargs: made.append(args)
+                        or search_orders(*args, **kwargs))
+    record = experiment(family, seed, number).record
+    found = identify(record, Settings(feedthrough=False, **settings))
+    assert bool(made) is searched
+    assert (found.model or found.rejected_model) is not None

@@ -16,7 +16,7 @@ from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
-from ctsid_core.judge.lead import WITHIN, lead_by_search, lead_of_outputs
+from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import (
     change_note,
@@ -89,12 +89,10 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     if simulated is not None and solution.plant is not None and curves.any():
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
-    # A lead of sines is a lag of less than a period.
-    sought = tuple(asked and not few_sines(one)
-                   for asked, one in zip(sought, seen[0], strict=False))
     # Last what a budget may leave out.
-    lead = np.zeros(moving.nu) if simulated is None or not any(sought) or effort.leaves_out(
-        'whether outputs answer before inputs') else lead_of_outputs(*simulated, sought)
+    asked = _of_enough_frequencies(sought, seen[0], model.n)
+    lead = np.zeros(moving.nu) if simulated is None or not any(asked) or effort.leaves_out(
+        'whether outputs answer before inputs') else lead_of_outputs(*simulated, asked)
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
@@ -103,8 +101,9 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
-    if verdict.grade is not Grade.GOOD and any(sought) and not lead.any() and not effort.over:
-        lead = _lead_by_search(solution, sought)
+    asked = _of_enough_frequencies(sought, seen[0], STATES)
+    if verdict.grade is not Grade.GOOD and any(asked) and not lead.any() and not effort.over:
+        lead = _lead_by_search(solution, asked)
         if lead.any():
             status, verdict = judge(replace(evidence, lead=_lead(lead, last)))
     corrupt, counts = part.corrupt()
@@ -294,6 +293,13 @@ def _lead(found: Array, part: Usable) -> Array:
     whole, lead = part.whole, _spread_out(found, part.u, part.whole.nu, 0.0)
     interval = np.repeat([s.period for s in whole.inputs], [s.width for s in whole.inputs])
     return np.where(lead > WITHIN * interval, lead, 0.0)
+
+
+def _of_enough_frequencies(sought: tuple[bool, ...], seen: tuple[Excitation, ...],
+                           states: int) -> tuple[bool, ...]:
+    """Return of which inputs a lead may be looked for: of sines it is a lag of the rest."""
+    return tuple(asked and not few_sines(one, states)
+                 for asked, one in zip(sought, seen, strict=False))
 
 
 def _lead_by_search(solution: Solution, sought: tuple[bool, ...]) -> Array:

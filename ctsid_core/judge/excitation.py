@@ -191,8 +191,8 @@ class _Acting:
         Return the effective number of frequencies of an input.
 
         As many as have, with equal shares, the entropy of the shares of sines that are taken from
-        it one after the other, the largest first, every octave alike; the rest is of such as the
-        last. The edges of its hold count as far as the plant answers to them [rad/s].
+        it one after the other, the largest first, every octave alike; the rest is of such as are
+        just not taken. The edges of its hold count as far as the plant answers to them [rad/s].
         """
         count, largest = self.differences.shape[1], np.max(np.abs(self.differences[j]))
         left = self.differences[j] / (largest or 1.0)
@@ -206,10 +206,10 @@ class _Acting:
             waves = np.column_stack((np.cos(best * times), np.sin(best * times)))
             sine = waves @ np.linalg.solve(waves.T @ waves, waves.T @ left)
             share = 0.5 * count * float(sine @ sine) / best
-            if not share > _LEFT * (sum(shares) + rest):
-                weights = np.array([*shares, rest]) / max(sum(shares) + rest, 1e-300)
-                sizes = np.append(weights[:-1], share / max(sum(shares) + rest, 1e-300))
-                return float(np.exp(-weights @ np.log(np.maximum(sizes, 1e-300))))
+            total = max(sum(shares) + rest, 1e-300)
+            if not share > _LEFT * total:
+                sizes = np.array(shares) / total
+                return float(np.exp(-sizes @ np.log(sizes) - rest / total * np.log(_LEFT)))
             shares.append(share)
             left -= sine
 

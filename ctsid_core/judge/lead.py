@@ -37,7 +37,7 @@ from ctsid_core.signals.gaps import FEWEST
 
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
-_STATES = 3           # that are looked for with leads, at most, and ...
+STATES = 3            # that are looked for with leads, at most, and ...
 _MOST = 0.8           # ... rms error over motion with which they tell: chance leaves more
 _NOISE = 0.5          # of the samples have errors that are independent with a lead, at least: else
                       # it explains a part of what it is not, as of gusts in a loop (0.1 at most)
@@ -96,7 +96,7 @@ def lead_by_search(samples: Samples, free: Free, given: Array) -> Array:
         return np.zeros(samples.nu)
     leading = replace(free, feedthrough=False, longest=free.longest + reach)
     _, tries = search_orders(
-        early, leading, lambda n, delay: iter(()), order=0, max_order=_STATES,
+        early, leading, lambda n, delay: iter(()), order=0, max_order=STATES,
         known_delay=np.where(late, 0.0, given + reach))
     if not tries:
         return np.zeros(samples.nu)

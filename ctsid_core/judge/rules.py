@@ -42,7 +42,7 @@ _SURELY = 1.25          # times the motion that makes a response known: with les
                         # be more states
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _LEAKS = 0.6            # frequencies more than its sines that an input seems to have: one sine
-                        # sent at 5 to 100 Hz has 1.45, two have 2.61 at most in 99 of 100
+                        # sent at 5 to 100 Hz has 1.2, two have 2.2 at most in 95 of 100
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
@@ -234,7 +234,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
               if j not in e.fixed_inputs]
     for one, _ in moving:
         if few_sines(one, len(e.poles)):
-            count = round(one.frequencies)
+            count = min(round(one.frequencies), len(e.poles), _SINES)
             yield Remedy.EXCITE, (
                 f'Nearly all of the motion of input {one.name} is at about {count} '
                 f'{"frequency" if count == 1 else "frequencies"}, which fits many models; '
@@ -277,7 +277,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
 
 
-def few_sines(one: Excitation, states: int = _SINES) -> bool:
+def few_sines(one: Excitation, states: int) -> bool:
     """Return whether an input is at no more frequencies than models of so many states fit."""
     return one.frequencies < min(states, _SINES) + _LEAKS
 

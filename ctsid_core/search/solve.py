@@ -83,7 +83,7 @@ _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _AROUND = np.linspace(-1.0, 1.0, 21)        # sample intervals, of which the mean is taken
 _FEWEST = 3           # states: fewer are found by a grid of poles
-_CLEARLY = 0.1        # -2 log likelihood for each sample
+_CLEARLY = 0.1        # -2 log likelihood, of all horizons, for each sample
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
 _PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
@@ -213,10 +213,11 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
-    return replace(
-        solved, simulating=(solved.samples, best.fit, free),
-        smaller=(*solved.smaller, *_smaller(
-            solved.samples, orders, best, replace(free, feedthrough=False))))
+    smaller = _smaller(solved.samples, orders, best, replace(free, feedthrough=False))
+    # States of the best one may imitate a change, those of the plant itself do not.
+    own = climb_roughly(solved.samples, solved.fit, plant.free).model
+    return replace(solved, simulating=(solved.samples, best.fit, free),
+                   smaller=((own, plant.free), *smaller))
 
 
 class _Plant(NamedTuple):
@@ -285,8 +286,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
          *_at_bound(one, plant.free)), plant=plant.matrices,
         doubt=_late(part, one, plant.free)
         or _doubt(fit.model.poles, samples, plant.free, settings),
-        predictor=(found.samples, found.found.fit, found.free),
-        smaller=((climb_roughly(samples, one.fit, plant.free).model, plant.free),))
+        predictor=(found.samples, found.found.fit, found.free))
 
 
 def _neighbour(found: dict[int, Tried], chosen: int) -> int:

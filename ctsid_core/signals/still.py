@@ -19,7 +19,6 @@ _SHARE = 0.08         # of the window in one run
 _TIMES = 3.0          # as long as the second longest run
 _FEWEST = 10          # samples in it
 _TWICE = 2.0          # as large as what the sensor resolves are steps of noise, half of them
-_ROUNDING = 1e-9      # of all that an output moves: smaller steps are none
 _TURNS = 0.3          # of the steps from sample to sample turn around: of white noise 2/3 do, of
                       # what a sensor shows at 8 bits fewer, for some steps are 0
 
@@ -43,15 +42,15 @@ def longest_still(record: Record) -> tuple[Still, ...]:
         for output, y in enumerate(values.T, channels.start):
             run = _longest_run(times, y, record.duration)
             if run is not None:
-                found.append(Still(output, times[run], _least(np.diff(y), y),
+                found.append(Still(output, times[run], _least(np.diff(y)),
                                    _noise_ends(y, run)))
     return tuple(found)
 
 
-def _least(distances: Array, y: Array) -> float:
-    """Return the smallest of some distances of values that is more than rounding."""
+def _least(distances: Array) -> float:
+    """Return the smallest of some distances that is one."""
     distances = np.abs(distances)
-    return float(np.min(distances[distances > _ROUNDING * np.ptp(y)]))
+    return float(np.min(distances[distances > 0.0]))
 
 
 def _noise_ends(y: Array, run: slice) -> bool:
@@ -63,7 +62,7 @@ def _noise_ends(y: Array, run: slice) -> bool:
     """
     parts = (y[:run.start], y[run.stop:])
     steps = np.abs(np.concatenate([np.diff(part) for part in parts]))
-    return is_noise(*parts) and float(np.median(steps)) > _TWICE * _least(y - y[run.start], y)
+    return is_noise(*parts) and float(np.median(steps)) > _TWICE * _least(y - y[run.start])
 
 
 def _longest_run(times: Array, values: Array, duration: float) -> slice | None:
