@@ -12,6 +12,7 @@ import math
 import os
 from pathlib import Path
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -241,6 +242,12 @@ def test_simulate_names_the_command_for_a_recording_of_another_plant(
         for s in flight(10.0, seed=3)])
     _, out, _ = ctsid('simulate', identified[0] / 'model.json', other, '--json')
     assert any(f'`ctsid identify {other} --params params.yaml` makes a model of this' in note
+               for note in json.loads(out)['notes'])
+    shutil.copytree(identified[0], tmp_path / 'tried')
+    beside = tmp_path / 'tried' / 'params.yaml'
+    beside.touch()
+    _, out, _ = ctsid('simulate', tmp_path / 'tried' / 'model.json', other, '--json')
+    assert any(f'`ctsid identify {other} --params {beside}` makes a model of this' in note
                for note in json.loads(out)['notes'])
 
 

@@ -230,6 +230,7 @@ def test_models_that_contradict_the_kept_one_are_told_even_if_no_window_shows_a_
 
 
 def test_instants_are_words_that_another_clock_can_read():
+    assert after_start(-1e-9, 1.0) == 'from 0.0 to 1.0 s after the start of the window'
     text = f'It is stuck {after_start(1.25, 3.0)}; it changed about {after_start(0.5)}.'
     assert text == ('It is stuck from 1.2 to 3.0 s after the start of the window; it changed '
                     'about 0.5 s after the start of the window.')

@@ -17,7 +17,8 @@ _INSTANTS = re.compile(rf'(?:from {_NUMBER} to )?{_NUMBER} {_AFTER}')
 
 def after_start(time: float, until: float | None = None) -> str:
     """Return an instant, or from when to when, after the start of the window [s], in words."""
-    return f'{time:.1f} {_AFTER}' if until is None else f'from {time:.1f} to {until:.1f} {_AFTER}'
+    at = f'{time:z.1f}' if until is None else f'from {time:z.1f} to {until:z.1f}'
+    return f'{at} {_AFTER}'
 
 
 def by_clock(text: str, start: float, of: str) -> str:

@@ -43,6 +43,7 @@ _FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself h
 # Outputs that may answer at once: of an accelerometer, as ROS, PX4, ArduPilot and people name it.
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
+_SEEN = 0.01  # of what is explained: less is nothing
 _AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
 _DELAYS = 6.0  # so many a window is long: of five the first one, without history, may miss it
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
@@ -252,7 +253,7 @@ def _why(pair: Pair) -> str:
                 f'{words(pair.output)} by their motion')
     sentence = (f'{words(pair.input)} explains {100 * found.past:.0f} % of the variance of '
                 f'{words(pair.output)}, from its past and in data held out')
-    return sentence if found.past > found.future else (
+    return sentence if found.past > found.future or found.future < _SEEN else (
         f'{sentence}; but its future would explain {100 * found.future:.0f} %: a loop may be '
         f'closed around them, or the roles are the other way round; {_turned(pair)}')
 

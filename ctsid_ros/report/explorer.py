@@ -61,7 +61,7 @@ class Item:
 def window_series(windows: Windows) -> dict[str, Any]:
     """Return the series of consecutive windows."""
     return series([Item(
-        f'Window {k + 1} of {len(windows.estimates)}, {start:.1f} to {end:.1f} s', middle,
+        f'Window {k + 1} of {len(windows.estimates)}, {start:z.1f} to {end:.1f} s', middle,
         estimate, facts(estimate, {'next fit [%]': fit_words(next_fit)}))
         for k, (estimate, start, end, middle, next_fit) in enumerate(zip(
             windows.estimates, windows.starts.tolist(), windows.ends.tolist(),

@@ -159,7 +159,7 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
             return _split(estimate, run)
         case Remedy.WAIT:
             return ('a model of this window and all after it', run.command(
-                'identify', '--start', f'{run.span[0]:.1f}'))
+                'identify', '--start', f'{run.span[0]:z.1f}'))
         case Remedy.PART:
             return 'models of short windows: in which parts one is right', run.command('replay')
         case Remedy.SIGNALS:
@@ -205,7 +205,7 @@ def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
     start, end = run.span
     at = start + share * (end - start)
     return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
-        'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
+        'identify', '--start', f'{start:z.1f}', '--duration', f'{at - start:.1f}'))
 
 
 def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:

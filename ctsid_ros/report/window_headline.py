@@ -34,7 +34,7 @@ def window_headline(first: Headline, windows: Windows, place: int, which: str, r
     """
     kept, all_of_it = windows.estimates[place], along(windows, place)
     seen, away = all_of_it.changes, all_of_it.unlike
-    span = f'{windows.starts[place]:.1f} to {windows.ends[place]:.1f} s'
+    span = f'{windows.starts[place]:z.1f} to {windows.ends[place]:.1f} s'
     where = side(windows, place, seen)
     span += f', {where}' if kept.ok and where else ''
     kept_words = f'{_kept(kept)} window {place + 1} ({span}), {which}: {first.sentence}'
@@ -47,17 +47,17 @@ def window_headline(first: Headline, windows: Windows, place: int, which: str, r
                    facts=(*first.facts, *facts))
     if kept.ok and seen and windows.starts[place] < seen[-1].time:
         return replace(told, purpose='a model of the plant as it is after the last change',
-                       command=run.command('identify', '--start', f'{seen[-1].time:.1f}'))
+                       command=run.command('identify', '--start', f'{seen[-1].time:z.1f}'))
     if away and not seen:
         length = f'{away[-1].end - away[-1].start:.1f}'
         return replace(told, purpose='a model of the plant where it is another one',
-                       command=run.command('identify', '--start', f'{away[-1].start:.1f}',
+                       command=run.command('identify', '--start', f'{away[-1].start:z.1f}',
                                            '--duration', length))
     if all_of_it.word == PARTLY:
         start, end = _longest(windows)
-        return replace(told, purpose=f'one model of the longest part without a fault, {start:.1f} '
-                       f'to {end:.1f} s', command=run.command(
-                           'identify', '--start', f'{start:.1f}', '--duration',
+        return replace(told, purpose='one model of the longest part without a fault, '
+                       f'{start:z.1f} to {end:.1f} s', command=run.command(
+                           'identify', '--start', f'{start:z.1f}', '--duration',
                            f'{end - start:.1f}'))
     return told
 

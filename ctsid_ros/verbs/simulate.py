@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import StorageError
@@ -132,7 +133,9 @@ def command(args: argparse.Namespace) -> int:
 
 def _again(args: argparse.Namespace) -> str:
     """Return the command that makes a model of the recording."""
-    return replace(run_of(args), params=args.params or 'params.yaml').command('identify')
+    beside = Path(args.model).with_name('params.yaml')
+    params = args.params or (str(beside) if beside.exists() else 'params.yaml')
+    return replace(run_of(args), params=params).command('identify')
 
 
 def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> StateSpace:
