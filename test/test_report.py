@@ -23,6 +23,7 @@ from ctsid_core.model.validation import Validation
 from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.progress import progress, time_left, working
 from ctsid_ros.replay.along import Windows
 from ctsid_ros.replay.replay import Result
@@ -30,6 +31,7 @@ from ctsid_ros.report.document import Bullets, Figure, Section, to_markdown, to_
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 from ctsid_ros.report.drawing import thinned as fewer
 from ctsid_ros.report.interactive import figure
+from ctsid_ros.report.outputs import sampling_figures
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import track_curve
 from ctsid_ros.report.residual_figures import horizon_figure
@@ -612,3 +614,12 @@ def test_a_fit_below_the_figure_is_told():
     ((Choice('domain', 'predictions', ''),), ('fit 10 ahead [%]', 'held-out fit 1 ahead [%]'))])
 def test_fits_of_predictions_say_how_far_they_look_ahead(choices, heads):
     assert fit_table(estimate(choices=choices), TRUTH).head == ('output', *heads)
+
+
+def test_stamps_of_whole_nanoseconds_are_drawn_as_even():
+    """What they round was drawn as the jitter, on an axis of 19.999999 to 20.000001 ms."""
+    t = np.round(1e9 * np.arange(500) / 50.0 + np.arange(500) % 2) * 1e-9
+    signal = Signal(t, np.zeros((500, 1)), 'zoh', ('u',))
+    drawn, = sampling_figures(Record((signal,), (), 0.0, t[-1]), 0.0)
+    assert np.ptp(drawn.drawing.panels[0].curves[0].y) == 0.0
+    assert 'left out) 0 ms' in drawn.caption

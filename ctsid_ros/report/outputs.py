@@ -22,6 +22,7 @@ from ctsid_ros.report.tables import label, percent
 MOST_OUTPUTS = 12
 _GAP = 5.0          # periods: a longer interval is a gap, as `ctsid info` counts them
 _MOST_SPANS = 60
+_ROUNDING = 1e-4    # of a period: what intervals differ by no more is of the stamps, and not drawn
 _TIME = 'time after the start of the bag [s]'
 
 
@@ -235,8 +236,8 @@ def sampling_figures(record: Record, offset: float) -> list[Figure]:
         if len(signal.time) < 2 or key in done:      # channels of one message
             continue
         done.add(key)
-        steps = 1e3 * np.diff(signal.time)
-        usual = 1e3 * signal.period
+        steps, usual = 1e3 * np.diff(signal.time), 1e3 * signal.period
+        steps = np.where(np.abs(steps - usual) < _ROUNDING * usual, usual, steps)
         gaps = gaps_of(signal)
         title = ', '.join(signal.names) or 'signal'
         figures.append(Figure(Drawing((Axes(
