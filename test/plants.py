@@ -284,3 +284,30 @@ def moved_before(rng: np.random.Generator, duration: float, delay: float) -> Rec
         y[k] = x + 0.02 * rng.standard_normal()
         x = u[k] + (x - u[k]) * np.exp(-0.04)
     return Record.from_arrays(t, u[early:early + len(t)], t, y, input_hold='zoh')
+
+
+def stick_flown(seed: int) -> Record:
+    """Return 60 s of a pair of 6 rad/s, 0.08 s after a pilot's stick, in gusts of 1 rad/s."""
+    rng, step = np.random.default_rng(seed), 0.004
+    level, at = np.zeros(3000), 100
+    while at < 3000:
+        until = at + int(rng.uniform(0.6, 3.0) / 0.02)
+        level[at:until] = 0.0 if rng.random() < 0.3 else rng.uniform(-1.0, 1.0)
+        at = until
+    u, x = np.zeros(3000), 0.0
+    for k in range(3000):
+        x += (level[k] - x) / 6.0
+        u[k] = x
+    u += 0.02 * rng.standard_normal(3000)
+    u = np.sign(u) * np.maximum(np.abs(u) - 0.1, 0.0) / 0.9
+    moves = expm(step * np.array([[0, 1, 0, 0], [-36, -6, 12.6, 1], [0] * 4, [0, 0, 0, -1.0]]))
+    z, y = np.zeros(4), []
+    for k in range(15000):
+        late = int(np.floor((k * step - 0.08) / 0.02 + 1e-9))
+        z[2] = u[late] if late >= 0 else 0.0
+        if k % 2 == 0:
+            y.append(z[0] + 0.004 * rng.standard_normal())
+        z = moves @ z
+        z[3] += 0.25 * np.sqrt(step) * rng.standard_normal()
+    return Record.from_arrays(0.02 * np.arange(3000), u, 0.008 * np.arange(7500), np.array(y),
+                              input_hold='zoh')

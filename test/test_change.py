@@ -21,6 +21,7 @@ from plants import (
     plant,
     random_signal,
     running,
+    stick_flown,
 )
 import pytest
 from scipy.linalg import expm
@@ -305,28 +306,6 @@ def test_states_that_imitate_a_jump_do_not_hide_it(feedthrough, how, seed):
                                                                          (29.0, True))])
 def test_gusts_on_a_stick_flown_plant_are_no_change(start, feedthrough):
     """One model fits 96 and 95 %; two of the simulation near the plant 96 and 96 %."""
-    rng, step = np.random.default_rng(3), 0.004
-    level, at = np.zeros(3000), 100
-    while at < 3000:
-        until = at + int(rng.uniform(0.6, 3.0) / 0.02)
-        level[at:until] = 0.0 if rng.random() < 0.3 else rng.uniform(-1.0, 1.0)
-        at = until
-    u, x = np.zeros(3000), 0.0
-    for k in range(3000):
-        x += (level[k] - x) / 6.0
-        u[k] = x
-    u += 0.02 * rng.standard_normal(3000)
-    u = np.sign(u) * np.maximum(np.abs(u) - 0.1, 0.0) / 0.9
-    moves = expm(step * np.array([[0, 1, 0, 0], [-36, -6, 12.6, 1], [0] * 4, [0, 0, 0, -1.0]]))
-    z, y = np.zeros(4), []
-    for k in range(15000):
-        late = int(np.floor((k * step - 0.08) / 0.02 + 1e-9))
-        z[2] = u[late] if late >= 0 else 0.0
-        if k % 2 == 0:
-            y.append(z[0] + 0.004 * rng.standard_normal())
-        z = moves @ z
-        z[3] += 0.25 * np.sqrt(step) * rng.standard_normal()
-    record = Record.from_arrays(0.02 * np.arange(3000), u, 0.008 * np.arange(7500), np.array(y),
-                                input_hold='zoh')
+    record = stick_flown(3)
     found = identify(record.between(start, start + 10.0), Settings(feedthrough=feedthrough))
     assert found.status is Status.OK

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, asynchronous, held_response, match, plant
+from plants import PLANTS, asynchronous, held_response, match, plant, stick_flown
 import pytest
 from scipy.linalg import block_diag, expm
 from scipy.signal import butter, lfilter
@@ -501,3 +501,11 @@ def test_simulations_are_searched_for_unless_predictions_leave_clearly_less(
     found = identify(record, Settings(feedthrough=False, **settings))
     assert bool(made) is searched
     assert (found.model or found.rejected_model) is not None
+
+
+@pytest.mark.parametrize('start', [37.0, *slow(38.0, 39.0)])
+def test_a_dead_time_that_predictions_do_without_is_not_surely_none(start):
+    """It is 0.08 s, and was "0 +- 0"."""
+    found = identify(stick_flown(3).between(start, start + 10.0), Settings(feedthrough=False))
+    assert found.model.delay == (0.0,)
+    assert found.delay_std[0] > 0.005
