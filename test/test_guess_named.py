@@ -160,6 +160,7 @@ def test_what_few_samples_explain_counts_less(robot):
 
 @pytest.mark.parametrize(('topic', 'wish'), [
     ('vehicle_rates_setpoint', True), ('/cmd_vel/desired', True), ('/target_pose', True),
+    ('goal', True), ('x_des', True), ('/attitude_sp', True), ('description', False),
     ('vehicle_torque_setpoint', False), ('/desired_wrench', False), ('/cmd', False)])
 def test_a_wanted_force_is_a_command(topic, wish):
     assert is_wanted(topic) is wish

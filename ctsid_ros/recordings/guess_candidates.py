@@ -31,7 +31,8 @@ _LEVELS, _SWITCHES = 3, 12  # an integer or bool with so few levels and changes 
 _RAMP = 1e-4  # of its range: what leaves a straight line by less is a clock
 
 COMMAND_NAME = re.compile(
-    r'cmd|command|set_?point|target|desired|reference|(^|[/_])ref($|[/_])|control(?!ler_state)|'
+    r'cmd|command|set_?point|target|goal|desired|reference|(^|[/_])(ref|des|sp)($|[/_])|'
+    r'control(?!ler_state)|'
     r'effort|torque|wrench|thrust|throttle|joy|stick|(^|[/_])rc|pwm|servo|motor|actuator|input|'
     r'steer|voltage|drive|action|^u\d*$', re.IGNORECASE)
 MEASURED_NAME = re.compile(
@@ -54,7 +55,8 @@ _DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_
                             r'command|cmd)($|[._\[])|temperature|voltage|current|battery')
 _HOUSEKEEPING = re.compile(r'batter|vbat|supply|temperature', re.IGNORECASE)
 FORCE_FIELD = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
-WANTED = re.compile(r'set_?point|desired|target|reference|(^|[/_])ref($|[/_])', re.IGNORECASE)
+WANTED = re.compile(
+    r'set_?point|desired|target|goal|reference|(^|[/_])(ref|des|sp)($|[/_])', re.IGNORECASE)
 _FORCE_NAME = re.compile(r'torque|thrust|force|wrench|moment(?!um)', re.IGNORECASE)
 
 
