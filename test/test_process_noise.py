@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, asynchronous, held_response, match, plant, stick_flown
+from plants import PLANTS, asynchronous, held_response, match, plant
 import pytest
 from scipy.linalg import block_diag, expm
 from scipy.signal import butter, lfilter
@@ -363,9 +363,7 @@ def test_a_plant_that_is_not_linear_is_one_plant(family, number):
 
 @pytest.mark.parametrize(('family', 'number', 'calm'), [
     ('clock-drift', 1, False), ('turbulence-weak', 2, False),
-    pytest.param('dead-zone', 4, True, marks=[pytest.mark.slow, pytest.mark.xfail(
-        reason='eight states, 97 %, of the part held out 89 %: WEAK, whatever is known of D')]),
-    *slow(('jittering-delay', 2, False), ('turbulence-strong', 2, False))])
+    *slow(('dead-zone', 4, True), ('jittering-delay', 2, False), ('turbulence-strong', 2, False))])
 def test_what_disturbs_a_record_is_no_change_of_the_plant(family, number, calm):
     """
     Each record has a predictor of its own, and one in calm air is simulated.
@@ -495,17 +493,9 @@ def test_simulations_are_searched_for_unless_predictions_leave_clearly_less(
         monkeypatch, family, seed, number, settings, searched):
     """Of loops only the one near the plant is compared; others may be better elsewhere."""
     made = []
-    monkeypatch.setattr(solve, 'search_orders', lambda *args, **kwargs: made.append(args)
-                        or search_orders(*args, **kwargs))
+    monkeypatch.setattr(solve, 'search_orders', lambda *args, max_order, **kwargs: made.append(
+        max_order) or search_orders(*args, max_order=max_order, **kwargs))
     record = experiment(family, seed, number).record
     found = identify(record, Settings(feedthrough=False, **settings))
-    assert bool(made) is searched
+    assert (max(made, default=0) > 2) is searched
     assert (found.model or found.rejected_model) is not None
-
-
-@pytest.mark.parametrize('start', [37.0, *slow(38.0, 39.0)])
-def test_a_dead_time_that_predictions_do_without_is_not_surely_none(start):
-    """It is 0.08 s, and was "0 +- 0"."""
-    found = identify(stick_flown(3).between(start, start + 10.0), Settings(feedthrough=False))
-    assert found.model.delay == (0.0,)
-    assert found.delay_std[0] > 0.005

@@ -490,7 +490,6 @@ def test_windows_answer_to_inputs_that_came_before_them(delay, feedthrough):
         assert found.model.delay[0] + sum(lags) - max(lags) == pytest.approx(delay, abs=0.015)
 
 
-@pytest.mark.slow
 def test_windows_of_five_dead_times_invent_no_change():
     """Without the inputs before them two of three were "does not follow the inputs"."""
     tracker = Tracker(Settings(feedthrough=False))
