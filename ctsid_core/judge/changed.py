@@ -81,8 +81,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     """
     Return where the plant changes, if two models explain what one does not.
 
-    Smaller models are others that might be the plant, as the best ones of smaller orders, and what
-    was free in them. Of a model that was found by its predictions these tell: its predictor.
+    Smaller models are the best ones of smaller orders, and what was free in them. Of a model that
+    was found by its predictions these tell: its predictor.
     """
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()

@@ -65,8 +65,7 @@ class Solution:
     # What tells whether the plant changes or is curved: of a stable plant that was found by its
     # predictions, and is judged by them, how it simulates; of a disturbed one the best simulation
     simulating: Fitted | None = None
-    # Others that simulate, and may show a change which states of the model imitate: the best ones
-    # of smaller orders, or of the order that predictions found; and what was free in them
+    # The best ones of smaller orders that simulate, and what was free in them
     smaller: tuple[tuple[ModalModel, Free], ...] = ()
     # Others that simulate, and might be right: share of the Akaike weights, model
     rivals: tuple[tuple[float, ModalModel], ...] = ()

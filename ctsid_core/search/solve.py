@@ -112,12 +112,14 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, samples, free)
     subspace = _Subspace(part, own, effort)
-    # A plant that grows predictions tell at once, and one that they predict clearly better than a
-    # simulation near it would: of closed loops many states simulate the record.
-    grows = predicted is not None and _growth(predicted, samples) > GROWS
-    if predicted is not None and (grows or not settings.order) and (solved := _as_likely(
-            part, settings, seen, samples, free, predicted, 0.0 if grows else _CLEARLY)) and (
-            grows or _beyond_few(part, settings, samples, free, subspace, predicted)):
+    # A plant that grows predictions tell at once, and one that hardly decays, if they predict it
+    # clearly better than a simulation near it would: of closed loops many states simulate the
+    # record.
+    growth = -np.inf if predicted is None else _growth(predicted, samples)
+    if predicted is not None and growth > (GROWS if settings.order else -GROWS) and (
+            solved := _as_likely(part, settings, seen, samples, free, predicted,
+                                 0.0 if growth > GROWS else _CLEARLY)) and (
+            growth > GROWS or _beyond_few(part, settings, samples, free, subspace, predicted)):
         return solved
     samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
                                    max_order=settings.max_order, known_delay=given)
@@ -214,11 +216,9 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
-    smaller = _smaller(solved.samples, orders, best, replace(free, feedthrough=False))
-    # States of the best one may imitate a change, those of the plant itself do not.
-    own = climb_roughly(solved.samples, solved.fit, plant.free).model
-    return replace(solved, simulating=(solved.samples, best.fit, free),
-                   smaller=((own, plant.free), *smaller))
+    return replace(
+        solved, simulating=(solved.samples, best.fit, free),
+        smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
 
 
 class _Plant(NamedTuple):
