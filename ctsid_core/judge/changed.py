@@ -11,8 +11,8 @@ independent evidence there is for two is counted in *their* errors, and nearly a
 leaves, noise apart, has to be gone, as far as the noise lets see. And they have to be the best
 explanation: of a plant that drifts, or is not linear, a drift or curves explain as much. Of
 several records each may be of another plant as a whole: then it has a model of its own. Of a
-model that was found by its predictions these tell, for their errors are white where gusts
-stay in those of simulations; how much it matters is what the plant, simulated, misses beside two.
+model that was found by its predictions these tell, for their errors are white where gusts stay
+in those of simulations; how much it matters is what the plant, simulated, misses beside two.
 """
 
 from __future__ import annotations

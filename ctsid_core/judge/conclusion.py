@@ -18,13 +18,7 @@ from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
-from ctsid_core.judge.rules import (
-    change_note,
-    few_sines,
-    judge,
-    pole_uncertainty,
-    tested,
-)
+from ctsid_core.judge.rules import change_note, few_sines, judge, pole_uncertainty, tested
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals

@@ -111,16 +111,15 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, samples, free)
-    subspace = _Subspace(part, own, effort)
     # A plant that grows predictions tell at once, and one that hardly decays, if they predict it
     # clearly better than a simulation near it would: of closed loops many states simulate the
     # record.
     growth = -np.inf if predicted is None else _growth(predicted, samples)
     if predicted is not None and growth > (GROWS if settings.order else -GROWS) and (
             solved := _as_likely(part, settings, seen, samples, free, predicted,
-                                 0.0 if growth > GROWS else _CLEARLY)) and (
-            growth > GROWS or _beyond_few(part, settings, samples, free, subspace, predicted)):
+                                 0.0 if growth > GROWS else _CLEARLY)):
         return solved
+    subspace = _Subspace(part, own, effort)
     samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
                                    max_order=settings.max_order, known_delay=given)
     most = min(most, int(np.max(samples.counts.sum(axis=0))))
@@ -589,19 +588,6 @@ def _as_likely(part: Joint, settings: Settings, seen: Seen, samples: Samples, fr
         near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
     return None if near is None or clearly and near.unexplained < UNEXPLAINED else _likelier(
         part, settings, seen, samples, near, free, found, clearly)
-
-
-def _beyond_few(part: Joint, settings: Settings, samples: Samples, free: Free,
-                subspace: _Subspace, found: PredictionFit) -> bool:
-    """
-    Return whether predictions leave clearly less than a search for few states, too.
-
-    From their poles a climb does not find a long dead time, of which they tell little.
-    """
-    samples, few = search_orders(
-        samples, free, subspace.poles, order=0, max_order=min(settings.max_order, _FEWEST - 1),
-        known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
-    return not few or _predicts_better(part, samples, few[choose(few)], found, _CLEARLY)
 
 
 def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
