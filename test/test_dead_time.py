@@ -87,12 +87,48 @@ def test_without_dead_time_nothing_changes(name):
     given = NONE_LATE[name](np.random.default_rng)
     found, plain = identify(given, FAST), identify(given, FAST.replace(delay=0.0))
     assert not np.any(found.model.delay)
-    assert not found.covariance.entries.delay.any()
-    assert np.all(found.delay_std < 1e-3)                   # of rivals with one
+    assert np.all(found.delay_std < 1e-3)       # one that is taken for none is not known to be
     assert found.model.n == plain.model.n
     moved = np.abs(match(found.model.poles, plain.model.poles) - plain.model.poles)
     rounding = 1e-12 * np.abs(plain.model.poles)      # without noise all else is less
     assert (moved < np.maximum(0.1 * plain.pole_std, rounding)).all()
+
+
+def two_lags(rng, delay: float, *, blue: bool = False) -> Record:
+    """A motor's position under a bounded drive; 5 % of noise, white or of differences."""
+    given = held(rng, plant([[-1.0, 0.0], [6.0, -6.0]], [[1.0], [0.0]], [[0.0, 1.0]]), 50.0, 100.0,
+                 delay=delay, duration=20.0)
+    signal, noise = given.outputs[0], rng.standard_normal(len(given.outputs[0].time) + 1)
+    noise = np.diff(noise) / np.sqrt(2.0) if blue else noise[1:]
+    y = signal.values + 0.05 * signal.values.std() * noise[:, np.newaxis]
+    return replace(given, outputs=(replace(signal, values=y),))
+
+
+@pytest.mark.parametrize('seed', [0, 1, *slow(2, 3, 4, 5)])
+def test_noise_of_differences_tells_a_dead_time(seed):
+    """As of counts. None was found of 10 ms, and a pole that was 4 to 6 deviations off."""
+    found = identify(two_lags(np.random.default_rng([50, seed]), 0.01, blue=True), FAST)
+    assert found.model.n == 2
+    assert found.model.delay[0] == pytest.approx(0.01, abs=0.01)
+    assert found.model.delay[0] > 0.0
+    assert np.all(np.abs(found.model.poles - [-1.0, -6.0]) < 3.0 * found.pole_std)
+
+
+@pytest.mark.parametrize(('delay', 'runs'), [
+    (0.01, 12), *slow((0.0, 60), (0.005, 60), (0.01, 60))])
+def test_a_dead_time_that_is_taken_for_none_is_not_known(delay, runs):
+    """Nor are poles as well as if it were: their deviations were half of what they missed."""
+    missed, taken = [], 0
+    for seed in range(runs):
+        found = identify(two_lags(np.random.default_rng([51, seed]), delay), FAST.replace(order=2))
+        taken += found.model.delay[0] == 0.0
+        assert found.delay_std[0] > 0.0
+        missed += [*np.abs(found.model.poles - [-1.0, -6.0]) / found.pole_std,
+                   abs(found.model.delay[0] - delay) / found.delay_std[0]]
+    print(f'\n{taken} of {runs}: {np.mean(np.array(missed) < 2.0):.0%} within two deviations, '
+          f'rms {np.sqrt(np.mean(np.square(missed))):.2f}')
+    assert taken > runs / 2
+    assert np.mean(np.array(missed) < 2.0) > 0.88
 
 
 @pytest.mark.slow
@@ -117,7 +153,7 @@ def test_one_of_two_inputs_may_be_late_and_one_known():
     given, p = two_inputs(np.random.default_rng(8), (0.0, 0.08))
     found = identify(given, FAST)
     assert found.model.delay[0] == 0.0
-    assert found.delay_std[0] < 1e-3                        # of rivals with one
+    assert 0.0 < found.delay_std[0] < 1e-3
     assert abs(found.model.delay[1] - 0.08) < 3.0 * found.delay_std[1]
     given, p = two_inputs(np.random.default_rng(8), (0.05, 0.08))
     found = identify(given, FAST.replace(delay=('auto', 0.08)))

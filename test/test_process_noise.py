@@ -308,19 +308,22 @@ def test_a_drift_is_no_change_to_predictions_either():
     assert np.mean(simulated(found.model, given.test)) > 97.0
 
 
-@pytest.mark.parametrize(('seed', 'reachable'), [(41, 95.2), *slow((42, 94.8))])
-def test_a_gain_that_drifts_does_not_grow(seed, reachable):
+@pytest.mark.parametrize(('seed', 'reachable', 'grade'), [
+    (42, 94.8, Grade.GOOD), *slow((41, 95.2, Grade.WEAK))])
+def test_a_gain_that_drifts_does_not_grow(seed, reachable, grade):
     """
     A sweep: modes that grow by 2.1 and 2.5 rad/s predict it to 99 and 97.5 %, up to 0.5 s ahead.
 
-    One second ahead, where they have grown by e^2, a simulation predicts it better.
+    One second ahead, where they have grown by e^2, a simulation predicts it better. One lag with
+    a dead time of 33 ms explains that of seed 41 as well as a slower one with none: a response
+    that is known to 13 %.
     """
     given = experiment('gain-drift', seed, 4)
     found = identify(given.record, Settings(feedthrough=False))
     model = found.model or found.rejected_model
     assert np.max(model.poles.real) <= 0.0
     assert np.mean(simulated(model, given.test)) > reachable - 2.0
-    assert found.verdict.grade is Grade.GOOD
+    assert found.verdict.grade is grade
 
 
 @pytest.mark.parametrize(('grows', 'noise'), [(0.15, 0.001), (0.3, 0.03), *slow(

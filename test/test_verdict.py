@@ -91,7 +91,7 @@ def test_without_a_model_the_verdict_is_reject(two_by_two):
 @pytest.fixture(scope='module')
 def two_by_two() -> Estimate:
     """What is identified of a well-excited window of two inputs and two outputs."""
-    return identify(experiment(2, 2, 2))
+    return identify(experiment(3, 2, 2))
 
 
 def test_a_verdict_comes_back_from_a_file_to_the_last_bit(two_by_two):

@@ -66,7 +66,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     last = part.parts[part.last]
     model = _whole_model(last, m, solution.settings.delays(last.whole.nu), intensity)
     moving = StateSpace(m.A, m.B, m.C, m.D, delay=tuple(solution.delay.tolist()))
-    covariance = _covariance(solution, model)
+    covariance = _covariance(solution, model, sought)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
@@ -173,10 +173,19 @@ def _with_trim(solution: Solution, record: int) -> Matrices:
     return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim), y_trim=level)
 
 
-def _covariance(solution: Solution, model: StateSpace) -> Covariance | None:
-    """Return the covariance of the model of all channels."""
+def _covariance(solution: Solution, model: StateSpace,
+                sought: tuple[bool, ...]) -> Covariance | None:
+    """
+    Return the covariance of the model of all channels.
+
+    Dead times that were `sought` and are taken for 0 are not known, either; beside D any that
+    matters was found.
+    """
+    samples, fit, free = solution.drifting or solution.source
+    if not free.feedthrough:
+        free = replace(free, delays=(*sought, *free.delays[len(sought):]))
     try:
-        changes = entry_changes(*(solution.drifting or solution.source), far=solution.plant is None
+        changes = entry_changes(samples, fit, free, far=solution.plant is None
                                 and not solution.samples.effort.beyond(SEARCH),
                                 like=solution.fit.model if solution.drifting else None)
         if solution.drifting is not None:

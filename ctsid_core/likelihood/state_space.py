@@ -117,7 +117,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
     at the maximum of the likelihood.
     """
     model = fit.model
-    rows, _, places = jacobian(samples, fit, free)
+    rows, error, places = jacobian(samples, fit, free)
     width = rows.shape[1]
     samples.effort.spend(covariance_work(samples, model.n))
     one = 'c' if samples.ny == 1 else 'b' if samples.nu == 1 else ''      # it is 1 then
@@ -141,11 +141,11 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
     root = np.zeros((len(turned), width))
     root[:, wanted] = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ turned
     late = slice(places.poles, places.poles + places.delays)
-    if far and not free.feedthrough and places.delays:
-        white = np.linalg.norm(turned[:, late], axis=0)
-        farther = np.array([_shown(samples, fit, free, int(j), w, far) / w - 1.0 if w else 0.0
-                            for j, w in zip(np.flatnonzero(free.delays), white, strict=True)])
-        root += root[:, late] * farther @ np.linalg.pinv(root[:, late]) @ root
+    if not free.feedthrough and places.delays:
+        step = turned[:, late].T @ (turned @ (moving[:len(rows)].T @ error))
+        white, own = (np.linalg.norm(one[:, late], axis=0) for one in (turned, root))
+        times = _times(samples, fit, free, white, step / np.where(own > 0.0, own, np.inf), far)
+        root += root[:, late] * (times - 1.0) @ np.linalg.pinv(root[:, late]) @ root
     if free.feedthrough:
         alike = np.zeros((places.delays, width))
         alike[:, places.poles:places.poles + places.delays] = np.diag(
@@ -265,6 +265,27 @@ def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int, far: b
         if first * samples.interval ** 2 < 1.0:
             shown = _shown(samples, fit, free, j, samples.interval, far)
             found[k, at + k] = np.sqrt(max(shown ** -2 - first, 0.0))
+    return found
+
+
+def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, far: bool) -> Array:
+    """
+    Return how unsure free dead times are, over their deviations to first order, (delays,).
+
+    `white` are these as if noise was white [s]; `far`: see `entry_changes`. That of an input whose
+    dead time is taken for 0 is about 0, though a step to the maximum goes so many deviations
+    `ahead`; it counts with its share of the Akaike weights, beside the model without one.
+    """
+    places = np.flatnonzero(free.delays)
+    found = np.ones(len(places))
+    for k, j in enumerate(places.tolist()):
+        none, gain = fit.model.delay[j] == 0.0, max(float(ahead[k]), 0.0) ** 2
+        if far and white[k]:
+            found[k] = _shown(samples, fit, free, j, float(white[k]), far) / white[k]
+        elif none:
+            found[k] = np.sqrt(1.0 + gain)
+        if none:
+            found[k] /= np.sqrt(1.0 + np.exp(1.0 - 0.5 * gain))
     return found
 
 

@@ -23,7 +23,9 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
     Return the model without dead times that explain too little, and what is free in it.
 
     They are asked all at once. If `each` may go, then, if that is too many, one by one, and those
-    that are sure are not asked. Rms errors below `least`, over the motion, are no evidence.
+    that are sure are not asked. Rms errors below `least`, over the motion, are no evidence. Noise
+    that is stronger the faster it is, as of differences of counts, tells more of dead times than
+    its power does: in noise of any colour they may not be likelier either.
     """
     found = best.fit.model.delay
     asked = np.array(free.delays) & (found > 0.0)
@@ -45,7 +47,9 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
         other = tried(samples, climb_roughly(
             samples, start, fewer, max(best.fit.cost + len(places) * price, nothing)), fewer)
         if np.all(other.power < least ** 2) or (
-                criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS):
+                criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS
+                and float(np.sum((other.coloured - best.coloured)[other.power >= least ** 2]))
+                <= len(places) * float(np.log(count))):
             best, free = other, fewer
     return best, free
 

@@ -172,7 +172,6 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if disturbed is not None and (solved := _disturbed(
             part, settings, seen, samples, best, disturbed, free, found)):
         return solved
-    others = _with(others, reached, best)
     late = float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
