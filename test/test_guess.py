@@ -14,7 +14,7 @@ from marks import slow
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.signal import chirp
+from scipy.signal import chirp, lfilter
 from tangled_bags import KINDS, tangled, write_tangled
 import yaml
 
@@ -191,6 +191,29 @@ def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, c
     model = load_estimate(tmp_path / 'res' / 'model.json').model
     assert model.C.shape == (2, 2)
     assert np.sort(model.poles) == pytest.approx(np.sort(np.roots([1.0, 1.5, 20.0])), abs=0.02)
+
+
+def test_commands_that_move_an_output_as_well_are_told(tmp_path, capsys):
+    """A model of the throttle alone is GOOD by its predictions, with a gain of 1.6 for 1."""
+    rng, t = np.random.default_rng(3), 0.02 * np.arange(1500)
+    u = np.array([np.append(0.0, rng.uniform(-1.0, 1.0, 25))[
+        np.searchsorted(np.sort(rng.uniform(0.0, 30.0, 25)), t)] for _ in range(3)])
+    x = lfilter([1.0 - np.exp(-0.06)], [1.0, -np.exp(-0.06)], u[0] + 0.7 * u[1])
+    y = x + 0.02 * x.std() * rng.standard_normal(len(t))
+    np.savetxt(tmp_path / 'run.csv', np.column_stack((t, *u, y)), delimiter=',', comments='',
+               header='time,throttle_cmd,brake_cmd,steer_cmd,speed')
+    assert main(['try', str(tmp_path / 'run.csv'), '--out', str(tmp_path / 'one')]) == 0
+    told = next(line for line in capsys.readouterr().err.splitlines() if 'move' in line)
+    assert 'run brake_cmd moves run speed, too' in told
+    assert 'steer' not in told
+    assert any('brake_cmd moves' in note for note in load_estimate(tmp_path / 'one' / 'model.json'
+                                                                   ).notes)
+    words = shlex.split(told.partition('all: ')[2])
+    assert main(['try', str(tmp_path / 'run.csv'), *words, '--out', str(tmp_path / 'all')]) == 0
+    assert 'moves run speed, too' not in capsys.readouterr().err
+    found = load_estimate(tmp_path / 'all' / 'model.json')
+    assert found.good
+    assert found.model.dc_gain[0] == pytest.approx([1.0, 0.7], abs=0.02)
 
 
 def test_comments_of_a_guess_hold_what_can_be_copied(tmp_path, capsys):

@@ -122,8 +122,12 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         return samples, found
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
+    # HD-PBSID has seen all samples.
+    seen = [start[2:] for start in _by_subspace(chosen, subspace, grid, free,
+                                                found[chosen].fit.model.delay)]
     return samples, {n: replace(climbed(
-        samples, one, free, STEPS if n == chosen else 1), found=one) for n, one in found.items()}
+        samples, one, free, *((STEPS, seen) if n == chosen else (1,))), found=one)
+        for n, one in found.items()}
 
 
 def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:

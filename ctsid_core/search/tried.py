@@ -20,6 +20,8 @@ inputs that drift (`drifting.py`) is asked, too: what it explains better needs n
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -103,9 +105,17 @@ def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Trie
     return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
 
 
-def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tried:
-    """Return a model at the maximum of the likelihood of other samples, or on the way there."""
+def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
+            others: Iterable[tuple[ComplexArray, Array]] = ()) -> Tried:
+    """
+    Return a model at the maximum of the likelihood of other samples, or on the way there.
+
+    From `others`, poles and dead times, if one of these is likelier.
+    """
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
+    for poles, delay in others:
+        with suppress(np.linalg.LinAlgError):
+            start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: fit.cost)
     return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
 

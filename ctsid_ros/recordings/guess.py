@@ -28,7 +28,14 @@ from ctsid_ros.recordings.excited import Stretch, excited, pace, together
 from ctsid_ros.recordings.guess_candidates import Candidate, is_wanted
 from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
-from ctsid_ros.recordings.guess_ranking import Pair, Ranking, in_order, one_way, rank
+from ctsid_ros.recordings.guess_ranking import (
+    Pair,
+    Ranking,
+    in_order,
+    moved_as_well,
+    one_way,
+    rank,
+)
 from ctsid_ros.recordings.survey import CLOCKS, DECODED, Survey, TopicSurvey
 from ctsid_ros.recordings.survey import survey as look_at
 
@@ -75,8 +82,9 @@ class Guess:
         Where the input excites the plant; empty if it does so all the time.
     free : bool
         Whether something was chosen from the pairs; else all of them were named.
-    doubt : str
-        Why inputs may be outputs, if the data do not tell: for the report, too.
+    doubts : tuple of str
+        Why inputs may be outputs, if the data do not tell, and which may be missing: for the
+        report, too.
     """
 
     config: Config
@@ -86,7 +94,7 @@ class Guess:
     others: tuple[tuple[str, str, float], ...]
     stretches: tuple[Stretch, ...]
     free: bool = True
-    doubt: str = ''
+    doubts: tuple[str, ...] = ()
 
     @property
     def pair(self) -> Pair:
@@ -232,7 +240,9 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     pair = pairs[pick - 1]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
         _why(pair), *_followed(pair, ranking.found),
-        *(() if named.outputs else _moved_as_well(pair, pairs, ranking.compared))]
+        *(() if named.outputs else _moves_as_well(pair, pairs, ranking.compared))]
+    beside = [] if named.inputs else _moved_as_well(pair, ranking)
+    reasons += beside
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
@@ -243,7 +253,8 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
                    if c not in inputs and c not in outputs)
     return Guess(config, pairs, pick, tuple(reasons), others,
                  together([excited(u.held, ranking.clock, period) for u in inputs]),
-                 free=not (named.inputs and named.outputs), doubt=reasons[0] if by_names else '')
+                 free=not (named.inputs and named.outputs),
+                 doubts=(*reasons[:by_names], *beside))
 
 
 def _why(pair: Pair) -> str:
@@ -258,7 +269,19 @@ def _why(pair: Pair) -> str:
         f'closed around them, or the roles are the other way round; {_turned(pair)}')
 
 
-def _moved_as_well(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
+def _moved_as_well(pair: Pair, ranking: Ranking) -> list[str]:
+    """Say which commands move the output, too, and how to get one model with all of them."""
+    others, share = moved_as_well(pair, ranking)
+    inputs = [words(one) for one in (pair.input, *others)]
+    named = [word for one in inputs for word in ('--input', one)]
+    return [f'{", ".join(inputs[1:])} move{"s" * (len(others) == 1)} {words(pair.output)}, too: '
+            f'{100 * share:.0f} % of its variance are explained with '
+            f'{"it" if len(others) == 1 else "them"}, {100 * pair.explained.past:.0f} % without; '
+            f'one model of all: {shlex.join((*named, "--output", words(pair.output)))}'
+            ] if others else []
+
+
+def _moves_as_well(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
     """Say how to get one model of all the outputs that an input moves, if they are several."""
     outputs = [words(p.output) for p in pairs if p.input is pair.input
                and p.output.acts <= p.output.measures and not _drives(p.output, compared)

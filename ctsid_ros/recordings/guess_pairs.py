@@ -150,7 +150,8 @@ class Comparison:
             return np.zeros(len(self._outputs))
         return _held_out(past[known], self._table[known])
 
-    def explained(self, u: Array, outputs: Sequence[int]) -> list[Explained]:
+    def explained(self, u: Array, outputs: Sequence[int],
+                  beside: Sequence[Array] = ()) -> list[Explained]:
         """
         Return what an input explains of some outputs.
 
@@ -160,8 +161,14 @@ class Comparison:
             Held at the ticks; NaN where not known.
         outputs : sequence of int
             Their numbers.
+        beside : sequence of ndarray, shape (N,), optional
+            Further inputs, of which the past is known in any case.
         """
         past, future, known = self._input(u)
+        for other in beside:
+            more, _, known_too = self._input(other)
+            past, future = np.hstack((more, past)), np.hstack((more, future))
+            known = known & known_too
         return [self._explained(past, future, known, number) for number in outputs]
 
     def _explained(self, past: Array, future: Array, known_u: NDArray[np.bool_], number: int

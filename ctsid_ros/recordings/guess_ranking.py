@@ -38,6 +38,7 @@ from ctsid_ros.recordings.survey import Survey
 
 _MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
 _MOST_PAIRS = 48  # that are looked at closely
+_MOST_COMMANDS = 8  # that may move an output beside its input
 _LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
 _COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
 _AS_LIKELY = 0.8  # a copy is preferred for its stamps if it is as likely a command, or nearly
@@ -101,12 +102,15 @@ class Ranking:
         All scalars that could be signals.
     clock : Clock
         Of their values.
+    inputs : tuple of Candidate
+        Those that may be inputs, the likeliest first.
     """
 
     pairs: tuple[Pair, ...]
     compared: tuple[Pair, ...]
     found: tuple[Candidate, ...]
     clock: Clock
+    inputs: tuple[Candidate, ...] = ()
 
 
 def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
@@ -160,7 +164,31 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
     pairs = [_same_motion(pair, pairs) for pair in pairs]
     pairs = sorted(pairs, key=lambda p: -p.score)
     likely = [p for p in pairs if p.score >= _LIKELY]
-    return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
+    return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock, tuple(inputs))
+
+
+def moved_as_well(pair: Pair, ranking: Ranking) -> tuple[list[Candidate], float]:
+    """
+    Return further commands that move the output of a pair, and what all explain together.
+
+    One after the other, that which explains most beside those before: clearly more from its past
+    than from its future, and than is explained without it. A share of the motion, in unseen data.
+    """
+    u, y = pair.input, pair.output
+    commands = [c for c in ranking.inputs if c.acts > c.measures and c not in (u, y)
+                and (u.wanted or not c.wanted)][:_MOST_COMMANDS]
+    comparison, taken, share = Comparison(ranking.clock, [y.smooth]), [u], pair.explained.past
+    alike = Alike([u, y, *commands], ranking.clock)
+    while commands and comparison.possible:
+        found = {c: comparison.explained(c.held, [0], [one.held for one in taken])[0]
+                 for c in commands if all(alike(c, one) <= _COPY for one in (y, *taken))}
+        best = max(found, key=lambda c: found[c].past, default=None)
+        if best is None or not found[best].past >= max(share, found[best].future) + _CAUSAL:
+            break
+        taken.append(best)
+        commands.remove(best)
+        share = found[best].past
+    return taken[1:], share
 
 
 class Alike:

@@ -100,7 +100,7 @@ def _identify(line: str, args: argparse.Namespace, out: Path, guessed: Guess) ->
     words += ['--budget', str(args.budget)] if args.budget is not None else []
     own = parser.parse_args([*words, *('--json',) * args.json, *('--quiet',) * args.quiet])
     own.command_line = shlex.join(('ctsid', 'identify', *words))
-    own.doubts = (guessed.doubt,) if guessed.doubt else ()
+    own.doubts = guessed.doubts
     own.whole = bool(guessed.stretches)
     return identify.command(own)
 
