@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from marks import slow
 import numpy as np
@@ -26,6 +27,7 @@ import pytest
 from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
+from ctsid_core.likelihood import state_space
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.likelihood.state_space import _shown, entry_changes
@@ -92,6 +94,55 @@ def test_without_dead_time_nothing_changes(name):
     moved = np.abs(match(found.model.poles, plain.model.poles) - plain.model.poles)
     rounding = 1e-12 * np.abs(plain.model.poles)      # without noise all else is less
     assert (moved < np.maximum(0.1 * plain.pole_std, rounding)).all()
+
+
+@pytest.mark.parametrize('far', [False, True])
+@pytest.mark.parametrize('ahead', [-3.0, 0.0, 1.0, 3.0])
+def test_what_is_taken_for_none_shares_the_weights(monkeypatch, ahead, far):
+    """Of two inputs the first has a dead time: it is known to first order, or as it is shown."""
+    monkeypatch.setattr(state_space, '_shown', lambda *arguments: 3e-3)
+    model = SimpleNamespace(delay=np.array([0.02, 0.0]))
+    free = Free(False, True, (True, True), 1.0, -1e-6, 100.0)
+    one, none = state_space._times(None, SimpleNamespace(model=model), free,
+                                   np.array([2e-3, 2e-3]), np.array([9.0, ahead]), far)
+    gain = max(ahead, 0.0) ** 2
+    with_it = np.exp(0.5 * gain - 1.0)          # of the likelihood, Akaike's price paid
+    wide = max(1.0 + gain, 2.25 if far else 1.0)
+    assert one == (1.5 if far else 1.0)
+    assert none ** 2 == pytest.approx(wide * with_it / (1.0 + with_it))
+
+
+def test_what_is_taken_for_none_is_as_far_ahead_as_a_climb_goes(monkeypatch):
+    """Stamps of inputs and outputs are the same, so that at 0 it could only become less."""
+    seen, times = [], state_space._times
+    monkeypatch.setattr(state_space, '_times', lambda *given: seen.append(given) or times(*given))
+    t, rng = 0.02 * np.arange(1000), np.random.default_rng(8)
+    u = rng.standard_normal((1000, 1))
+    y = noisy(rng, held_response(HD51, t + 0.004, u, t), 20)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                     FAST.replace(order=2, feedthrough=False))
+    samples, fit, free, white, ahead, _ = seen[-1]
+    late = climb(samples, fit_at(samples, fit.model.poles, np.array([1e-4]), free), free)
+    assert found.model.delay[0] == 0.0
+    assert ahead[0] * white[0] == pytest.approx(late.model.delay[0], rel=0.2)
+
+
+@pytest.mark.parametrize('seed', [2, *slow(0, 1, 3, 4, 5)])
+def test_a_sampled_loop_knows_its_pole_beside_a_dead_time_of_none(seed):
+    """The input is u = -6 (y - r) of the same instant: just after 0 it has not jumped yet."""
+    rng, x, rows = np.random.default_rng(seed), 0.0, []
+    for r in np.repeat(rng.standard_normal(34), 60)[:2000]:
+        y = x + 0.02 * rng.standard_normal()
+        rows.append((-6.0 * (y - r), y))
+        x = np.exp(0.02) * x + 0.5 * np.expm1(0.02) * rows[-1][0] + 0.03 * rng.standard_normal()
+    t, (u, y) = 0.01 * np.arange(2000), np.transpose(rows)[:, :, np.newaxis]
+    given = Record.from_arrays(t, u, t, y, input_hold='zoh')
+    settings = FAST.replace(feedthrough=False, order=1)
+    found, known = (identify(given, one) for one in (settings, settings.replace(delay=0.0)))
+    assert found.by_predictions
+    assert abs(found.model.poles[0] - 2.0) < 3.0 * found.pole_std[0]
+    assert 0.0 < found.delay_std[0] < 0.002
+    np.testing.assert_allclose(found.pole_std, known.pole_std, rtol=0.1)
 
 
 def two_lags(rng, delay: float, *, blue: bool = False) -> Record:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 from pathlib import Path
+import re
 import shlex
 
 from bag_fixtures import IMU, START, Sent, array, header, imu, joints, make, vector, write_mcap
@@ -193,27 +194,56 @@ def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, c
     assert np.sort(model.poles) == pytest.approx(np.sort(np.roots([1.0, 1.5, 20.0])), abs=0.02)
 
 
-def test_commands_that_move_an_output_as_well_are_told(tmp_path, capsys):
-    """A model of the throttle alone is GOOD by its predictions, with a gain of 1.6 for 1."""
+def driven(path, columns, **more):
+    """Write what two of three held commands do to a speed: the first one most."""
     rng, t = np.random.default_rng(3), 0.02 * np.arange(1500)
     u = np.array([np.append(0.0, rng.uniform(-1.0, 1.0, 25))[
         np.searchsorted(np.sort(rng.uniform(0.0, 30.0, 25)), t)] for _ in range(3)])
     x = lfilter([1.0 - np.exp(-0.06)], [1.0, -np.exp(-0.06)], u[0] + 0.7 * u[1])
     y = x + 0.02 * x.std() * rng.standard_normal(len(t))
-    np.savetxt(tmp_path / 'run.csv', np.column_stack((t, *u, y)), delimiter=',', comments='',
-               header='time,throttle_cmd,brake_cmd,steer_cmd,speed')
-    assert main(['try', str(tmp_path / 'run.csv'), '--out', str(tmp_path / 'one')]) == 0
-    told = next(line for line in capsys.readouterr().err.splitlines() if 'move' in line)
-    assert 'run brake_cmd moves run speed, too' in told
-    assert 'steer' not in told
-    assert any('brake_cmd moves' in note for note in load_estimate(tmp_path / 'one' / 'model.json'
-                                                                   ).notes)
+    seen = {name: make(u, y, rng) for name, make in more.items()}
+    np.savetxt(path, np.column_stack((t, *u, y, *seen.values())), delimiter=',', comments='',
+               header=','.join(('time', *columns, *seen)))
+    return path
+
+
+# By their names commands, and by what they do; a lag of the speed, a copy and a wish are none.
+@pytest.mark.parametrize(('columns', 'more'), [
+    (('throttle_cmd', 'brake_cmd', 'steer_cmd', 'speed'), {}),
+    (('a', 'b', 'c', 'speed'), {}),
+    (('throttle_cmd', 'brake_cmd', 'steer_cmd', 'speed'), {
+        'motor_current': lambda u, y, rng: np.append(0.0, y[:-1]),
+        'throttle_cmd_sent': lambda u, y, rng: np.append(0.0, u[0, :-1]),
+        'target': lambda u, y, rng: u[1] + 0.5 * u[0]})])
+def test_commands_that_move_an_output_as_well_are_told(tmp_path, capsys, columns, more):
+    """A model of the throttle alone is GOOD by its predictions, with a gain of 1.6 for 1."""
+    bag = driven(tmp_path / 'run.csv', columns, **more)
+    named = ['--input', columns[0], '--output', 'speed']
+    assert main(['try', str(bag), *named, '--out', str(tmp_path / 'one')]) == 0
+    told = next(line for line in capsys.readouterr().err.splitlines() if ' too: ' in line)
+    assert f'run {columns[1]} moves run speed, too' in told
+    assert any(' too: ' in note for note in load_estimate(tmp_path / 'one' / 'model.json').notes)
     words = shlex.split(told.partition('all: ')[2])
-    assert main(['try', str(tmp_path / 'run.csv'), *words, '--out', str(tmp_path / 'all')]) == 0
-    assert 'moves run speed, too' not in capsys.readouterr().err
+    assert main(['try', str(bag), *words, '--out', str(tmp_path / 'all')]) == 0
+    assert ' too: ' not in capsys.readouterr().err
     found = load_estimate(tmp_path / 'all' / 'model.json')
     assert found.good
     assert found.model.dc_gain[0] == pytest.approx([1.0, 0.7], abs=0.02)
+
+
+def test_a_column_may_be_called_like_its_file_or_a_field_of_pictures(tmp_path, capsys):
+    bag = driven(tmp_path / 'fan.csv', ('fan', 'trim', 'step', 'height'))
+    words = ['--input', 'fan', '--input', 'trim', '--output', 'height']
+    assert main(['try', str(bag), *words, '--out', str(tmp_path / 'res')]) == 0
+    assert re.search(r'input +fan .* zoh +0 ± \S+ \(found\)', capsys.readouterr().out)
+    assert load_estimate(tmp_path / 'res' / 'model.json').model.nu == 2
+
+
+def test_the_name_of_a_file_makes_no_column_a_command(tmp_path):
+    """All columns of motor_drive.csv would be commands, its speed among them."""
+    bag = driven(tmp_path / 'motor_drive.csv', ('u', 'v', 'w', 'speed'))
+    acts = {c.key[1]: c.acts > c.measures for c in ranked(bag).found}
+    assert acts == {'u': True, 'v': False, 'w': False, 'speed': False}
 
 
 def test_comments_of_a_guess_hold_what_can_be_copied(tmp_path, capsys):

@@ -11,9 +11,11 @@ from plants import held_response, noisy, plant
 import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
+from ctsid_core.judge.conclusion import _of_enough_frequencies
 from ctsid_core.judge.lead import lead_by_search, lead_of_outputs
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.model.verdict import Excitation
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.inputs import KINDS, drive
 
@@ -188,3 +190,9 @@ def test_a_stick_tells_the_lead_of_a_lag(seed):
     found = identify(Record.from_arrays(t_u + 0.1, u, t, y, input_hold='zoh'))
     assert found.verdict.excitation[0].frequencies < 2.6
     assert found.verdict.reason.startswith('Outputs answer about 0.11 s before input u1 moves')
+
+
+def test_inputs_that_move_together_are_asked_for_no_lead():
+    """Of a sum of two others it was said that it is stamped 3.4 s late."""
+    seen = tuple(Excitation('u', frequencies=9.0, own=own) for own in (0.0, 0.05, 0.5))
+    assert _of_enough_frequencies((True, True, True), seen, 2) == (False, False, True)

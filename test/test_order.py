@@ -72,6 +72,7 @@ def test_what_few_samples_hide_all_of_them_show():
     Of the few three real poles explain as much as a pair, from which no climb comes back.
     """
     found = identify(windows.experiment(164, 'quadrotor', 0.0).record)
+    assert np.max(np.abs(found.model.poles.imag)) > 0.5
     assert np.all(np.abs(found.model.poles - [-1.0 - 1.0j, -1.0 + 1.0j, -5.0])
                   < 3.0 * found.pole_std)
 

@@ -18,7 +18,14 @@ from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
-from ctsid_core.judge.rules import change_note, few_sines, judge, pole_uncertainty, tested
+from ctsid_core.judge.rules import (
+    UNCORRELATED,
+    change_note,
+    few_sines,
+    judge,
+    pole_uncertainty,
+    tested,
+)
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
@@ -300,8 +307,12 @@ def _lead(found: Array, part: Usable) -> Array:
 
 def _of_enough_frequencies(sought: tuple[bool, ...], seen: tuple[Excitation, ...],
                            states: int) -> tuple[bool, ...]:
-    """Return of which inputs a lead may be looked for: of sines it is a lag of the rest."""
-    return tuple(asked and not few_sines(one, states)
+    """
+    Return of which inputs a lead may be looked for.
+
+    Of sines it is a lag of the rest, and of one that moves with others no response is known.
+    """
+    return tuple(asked and one.own >= UNCORRELATED and not few_sines(one, states)
                  for asked, one in zip(sought, seen, strict=False))
 
 

@@ -40,7 +40,7 @@ from ctsid_core.signals.record import Record
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _SURELY = 1.25          # times the motion that makes a response known: with less noise there may
                         # be more states
-_UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
+UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _LEAKS = 0.6            # frequencies more than its sines that an input seems to have: one sine
                         # sent at 5 to 100 Hz has 1.2, two have 2.2 at most in 95 of 100
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
@@ -122,7 +122,7 @@ def _idle(e: Evidence, i: int) -> str:
     for j, one in enumerate(e.numbers.excitation):
         if j in e.fixed_inputs:
             return f'move input {one.name}, {wanted} (it does not move within the window)'
-        if one.own < _UNCORRELATED:
+        if one.own < UNCORRELATED:
             return f'move input {one.name} independently of the others, {wanted} ({_shared(one)})'
     return ''
 
@@ -248,7 +248,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             both[0].uncertainty, nan=np.inf), reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = f'move it independently of the other inputs ({_shared(one)})'
-            remedy, cure = (Remedy.EXCITE, alone) if one.own < _UNCORRELATED else (
+            remedy, cure = (Remedy.EXCITE, alone) if one.own < UNCORRELATED else (
                 Remedy.SIGNALS, 'a pole is as fast as any that is looked for: sample the outputs '
                 'faster') if e.fastest else (Remedy.EXCITE, _more(
                     one.uncertainty, alone=len(e.input_names) == 1))

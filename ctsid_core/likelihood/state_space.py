@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
@@ -32,6 +33,7 @@ _MET = 0.03           # relative distance of two poles below which they share a 
 GAUGE = 1e-7          # relative singular value below which a direction changes nothing
 _SAME = 1e-12         # ... below which two columns are the same
 _SPARE = 0.05         # share of the errors' power that a fit leaves at least
+_BEGUN = 1e-6         # of a sample interval: just after 0
 _WORK = 2.0           # of a covariance, for each sample and pair of numbers
 
 
@@ -117,7 +119,8 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
     at the maximum of the likelihood.
     """
     model = fit.model
-    rows, error, places = jacobian(samples, fit, free)
+    near = _after_0(samples, fit, free)
+    rows, error, places = jacobian(samples, near, free)
     width = rows.shape[1]
     samples.effort.spend(covariance_work(samples, model.n))
     one = 'c' if samples.ny == 1 else 'b' if samples.nu == 1 else ''      # it is 1 then
@@ -135,15 +138,19 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
     directions[wanted, apart.shape[1]:] = turned.T
     directions[nuisance, apart.shape[1]:] = -apart @ (basis.T @ rows[:, wanted] @ turned.T)
     known = moving[len(rows):] @ turned.T
-    power = known.T @ known + _noise_power(samples, fit, free, directions)[
+    power = known.T @ known + _noise_power(samples, near, free, directions)[
         apart.shape[1]:, apart.shape[1]:]
     values, vectors = np.linalg.eigh(power)
     root = np.zeros((len(turned), width))
     root[:, wanted] = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ turned
     late = slice(places.poles, places.poles + places.delays)
     if not free.feedthrough and places.delays:
-        step = turned[:, late].T @ (turned @ (moving[:len(rows)].T @ error))
-        white, own = (np.linalg.norm(one[:, late], axis=0) for one in (turned, root))
+        now = model.delay[list(free.delays)]
+        moved = now + turned[:, late].T @ (turned @ (moving[:len(rows)].T @ error))
+        # Nor does another one go below 0 for the sake of one that goes ahead.
+        weight = np.linalg.pinv(turned[:, late]).T
+        step = nnls(weight, weight @ moved)[0] - now
+        white, own = (np.linalg.norm(part[:, late], axis=0) for part in (turned, root))
         times = _times(samples, fit, free, white, step / np.where(own > 0.0, own, np.inf), far)
         root += root[:, late] * (times - 1.0) @ np.linalg.pinv(root[:, late]) @ root
     if free.feedthrough:
@@ -268,6 +275,20 @@ def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int, far: b
     return found
 
 
+def _after_0(samples: Samples, fit: Fit, free: Free) -> Fit:
+    """
+    Return the same where dead times that are 0 and free have just begun.
+
+    At 0 a held input has jumped where a sample is of the same instant; after 0 it has not.
+    """
+    model, late = fit.model, np.array(free.delays) & (fit.model.delay == 0.0)
+    if not late.any():
+        return fit
+    model = replace(model, delay=np.where(late, _BEGUN * samples.interval, model.delay))
+    return replace(fit, model=model, columns=columns_of(
+        samples, model.poles, model.delay, direct=free.feedthrough))
+
+
 def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, far: bool) -> Array:
     """
     Return how unsure free dead times are, over their deviations to first order, (delays,).
@@ -282,10 +303,9 @@ def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, f
         none, gain = fit.model.delay[j] == 0.0, max(float(ahead[k]), 0.0) ** 2
         if far and white[k]:
             found[k] = _shown(samples, fit, free, j, float(white[k]), far) / white[k]
-        elif none:
-            found[k] = np.sqrt(1.0 + gain)
         if none:
-            found[k] /= np.sqrt(1.0 + np.exp(1.0 - 0.5 * gain))
+            found[k] = max(found[k], np.sqrt(1.0 + gain)) / np.sqrt(
+                1.0 + np.exp(1.0 - 0.5 * gain))
     return found
 
 

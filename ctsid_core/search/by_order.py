@@ -123,8 +123,9 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
     # HD-PBSID has seen all samples.
-    seen = [start[2:] for start in _by_subspace(chosen, subspace, grid, free,
-                                                found[chosen].fit.model.delay)]
+    delay = found[chosen].fit.model.delay
+    seen = [] if samples.effort.beyond(SEARCH) else [
+        (bounded(poles, np.inf, free.fastest), delay) for poles in subspace(chosen, delay)]
     return samples, {n: replace(climbed(
         samples, one, free, *((STEPS, seen) if n == chosen else (1,))), found=one)
         for n, one in found.items()}

@@ -110,12 +110,13 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
     """
     Return a model at the maximum of the likelihood of other samples, or on the way there.
 
-    From `others`, poles and dead times, if one of these is likelier.
+    From `others`, poles and dead times, if one of these is likelier, numbers paid.
     """
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
     for poles, delay in others:
         with suppress(np.linalg.LinAlgError):
-            start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: fit.cost)
+            start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: (
+                fit.cost + price(samples) * parameters(samples, fit, free)))
     return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
 

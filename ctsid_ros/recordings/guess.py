@@ -241,11 +241,11 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
         _why(pair), *_followed(pair, ranking.found),
         *(() if named.outputs else _moves_as_well(pair, pairs, ranking.compared))]
-    beside = [] if named.inputs else _moved_as_well(pair, ranking)
-    reasons += beside
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
+    beside = _moved_as_well(inputs, outputs, ranking)
+    reasons += beside
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
     config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs, unit))
@@ -269,16 +269,20 @@ def _why(pair: Pair) -> str:
         f'closed around them, or the roles are the other way round; {_turned(pair)}')
 
 
-def _moved_as_well(pair: Pair, ranking: Ranking) -> list[str]:
-    """Say which commands move the output, too, and how to get one model with all of them."""
-    others, share = moved_as_well(pair, ranking)
-    inputs = [words(one) for one in (pair.input, *others)]
-    named = [word for one in inputs for word in ('--input', one)]
-    return [f'{", ".join(inputs[1:])} move{"s" * (len(others) == 1)} {words(pair.output)}, too: '
-            f'{100 * share:.0f} % of its variance are explained with '
-            f'{"it" if len(others) == 1 else "them"}, {100 * pair.explained.past:.0f} % without; '
-            f'one model of all: {shlex.join((*named, "--output", words(pair.output)))}'
-            ] if others else []
+def _moved_as_well(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
+                   ranking: Ranking) -> list[str]:
+    """Say which commands move an output, too, and how to get one model with all of them."""
+    for y in outputs:
+        others, without, share = moved_as_well(inputs, y, ranking)
+        if others:
+            named = [word for flag, signals in (('--input', [*inputs, *others]),
+                                                ('--output', outputs))
+                     for one in signals for word in (flag, words(one))]
+            it = 'it' if len(others) == 1 else 'them'
+            return [f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '
+                    f'{100 * share:.0f} % of its variance are explained with {it}, '
+                    f'{100 * without:.0f} % without; one model of all: {shlex.join(named)}']
+    return []
 
 
 def _moves_as_well(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
@@ -302,7 +306,8 @@ def _followed(pair: Pair, found: Sequence[Candidate]) -> list[str]:
     """Say that a set point is one, and which commands there are."""
     if not _set_point(pair.input):
         return []
-    commands = sorted((c for c in found if c.acts > c.measures and not _set_point(c)),
+    commands = sorted((c for c in found if c.acts > c.measures and c is not pair.output
+                       and not _set_point(c)),
                       key=lambda c: -c.acts)
     named = '; of the plant alone it is from the command that acts on it' + ''.join(
         f': {shlex.join(("--input", words(c), "--output", words(pair.output)))}'

@@ -119,7 +119,8 @@ def is_wanted(topic: str) -> bool:
 
 def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     """Return how likely name and type alone make a field an input, and an output: 0 to 1."""
-    name, kind, field = topic.info.name, topic.info.type, plain(field)
+    kind, field = topic.info.type, plain(field)
+    name = '' if kind.startswith('table/') else topic.info.name     # of a file, all columns alike
     command = 1.5 * bool(COMMAND_NAME.search(name)) + bool(_COMMAND_TYPE.match(kind))
     command += 0.5 * bool(COMMAND_NAME.search(field))
     measured = bool(MEASURED_NAME.search(name)) + 1.5 * bool(_MEASURED_TYPE.match(kind))

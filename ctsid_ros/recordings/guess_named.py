@@ -61,6 +61,7 @@ def named(survey: Survey, inputs: Sequence[str], outputs: Sequence[str]) -> Name
 
 def _matches(survey: Survey, text: str) -> list[Key]:
     found = [key for plain in _plain(text) for key in _called(survey, plain)]
+    found = [key for key in found if key[1] == text] or found       # a table may be called as well
     topics = list(dict.fromkeys(topic for topic, _ in found))
     if len(topics) > 1 and not re.search(r'[*?]', text):
         more = ', ...' if len(topics) > _MOST_NAMED else ''

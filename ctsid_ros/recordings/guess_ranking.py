@@ -25,6 +25,7 @@ from ctsid_ros.recordings.guess_candidates import (
     Candidate,
     Key,
     candidates,
+    is_wanted,
 )
 from ctsid_ros.recordings.guess_pairs import (
     STEPS,
@@ -38,7 +39,8 @@ from ctsid_ros.recordings.survey import Survey
 
 _MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
 _MOST_PAIRS = 48  # that are looked at closely
-_MOST_COMMANDS = 8  # that may move an output beside its input
+_MOST_COMMANDS = 8  # that may move an output beside its input: one does that leaves less than so
+_LEFT, _TOLD_MORE = 0.7, 0.01  # much of what is left without it, and explains so much more
 _LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
 _COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
 _AS_LIKELY = 0.8  # a copy is preferred for its stamps if it is as likely a command, or nearly
@@ -102,15 +104,12 @@ class Ranking:
         All scalars that could be signals.
     clock : Clock
         Of their values.
-    inputs : tuple of Candidate
-        Those that may be inputs, the likeliest first.
     """
 
     pairs: tuple[Pair, ...]
     compared: tuple[Pair, ...]
     found: tuple[Candidate, ...]
     clock: Clock
-    inputs: tuple[Candidate, ...] = ()
 
 
 def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
@@ -164,31 +163,39 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
     pairs = [_same_motion(pair, pairs) for pair in pairs]
     pairs = sorted(pairs, key=lambda p: -p.score)
     likely = [p for p in pairs if p.score >= _LIKELY]
-    return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock, tuple(inputs))
+    return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
 
 
-def moved_as_well(pair: Pair, ranking: Ranking) -> tuple[list[Candidate], float]:
+def moved_as_well(inputs: Sequence[Candidate], y: Candidate,
+                  ranking: Ranking) -> tuple[list[Candidate], float, float]:
     """
-    Return further commands that move the output of a pair, and what all explain together.
+    Return further commands that move an output, and what inputs explain without and with them.
 
-    One after the other, that which explains most beside those before: clearly more from its past
-    than from its future, and than is explained without it. A share of the motion, in unseen data.
+    Shares of its motion, in unseen data. One command after the other, that which explains most
+    beside those before: from its past clearly more than from its future, and than is explained
+    without it. What is not named like one is one if it is held.
     """
-    u, y = pair.input, pair.output
-    commands = [c for c in ranking.inputs if c.acts > c.measures and c not in (u, y)
-                and (u.wanted or not c.wanted)][:_MOST_COMMANDS]
-    comparison, taken, share = Comparison(ranking.clock, [y.smooth]), [u], pair.explained.past
-    alike = Alike([u, y, *commands], ranking.clock)
-    while commands and comparison.possible:
+    comparison, taken = Comparison(ranking.clock, [y.smooth]), list(inputs)
+    if not comparison.possible:
+        return [], 0.0, 0.0
+    commands = sorted((c for c in ranking.found if c not in (*inputs, y) and (
+        c.acts, c.stays) > (c.measures, False) and (
+            taken[0].wanted or not (c.wanted or is_wanted(plain(c.key[1]))))),
+        key=lambda c: -c.acts)[:_MOST_COMMANDS]
+    alike = Alike([*inputs, y, *commands], ranking.clock)
+    without = share = comparison.explained(
+        taken[0].held, [0], [one.held for one in taken[1:]])[0].past
+    while commands:
         found = {c: comparison.explained(c.held, [0], [one.held for one in taken])[0]
                  for c in commands if all(alike(c, one) <= _COPY for one in (y, *taken))}
         best = max(found, key=lambda c: found[c].past, default=None)
-        if best is None or not found[best].past >= max(share, found[best].future) + _CAUSAL:
+        if best is None or not 1.0 - found[best].past < min(
+                1.0 - share - _TOLD_MORE, _LEFT * (1.0 - max(share, found[best].future))):
             break
         taken.append(best)
         commands.remove(best)
         share = found[best].past
-    return taken[1:], share
+    return taken[len(inputs):], without, share
 
 
 class Alike:

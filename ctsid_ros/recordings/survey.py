@@ -39,7 +39,8 @@ _NOT_A_SIGNAL = re.compile(
     r'covariance|variance|_var($|[._\[])|'
     r'(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
     r'(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|buttons|flags|'
-    r'checksum|crc|height|width|step|data_offset|e[pv][hv]|[hvpt]dop)($|[._\[])')
+    r'checksum|crc|e[pv][hv]|[hvpt]dop)($|[._\[])')
+_PICTURE = re.compile(r'(^|[._])(height|width|step|data_offset)($|[._\[])')  # but in tables
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,8 @@ def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
             continue
         try:
             paths = {p: index for p, index in bag.named_fields(name, DECODED).items()
-                     if not _NOT_A_SIGNAL.search(plain(str(p)))}
+                     if not _NOT_A_SIGNAL.search(plain(str(p))) and (
+                         info.type.startswith('table/') or not _PICTURE.search(plain(str(p))))}
         except BagError as error:
             skipped.append(TopicSurvey(info, note=str(error)))
             continue

@@ -7,7 +7,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.methods import METHODS
 from ctsid_ros.config.channels import Config
-from ctsid_ros.report.tables import number
+from ctsid_ros.report.tables import plus_minus
 
 
 def looked_for(estimate: Estimate, settings: Settings) -> bool:
@@ -33,8 +33,9 @@ def delay_words(estimate: Estimate, config: Config) -> dict[str, str]:
     how = 'found' if looked_for(estimate, config.settings) else 'not looked for'
     words, first = {}, 0
     for channel in config.inputs:
-        own = model.delay[first:first + channel.width]
+        own = slice(first, first + channel.width)
         first += channel.width
-        listed = ', '.join(number(delay, 3) if delay else '0' for delay in own)
+        listed = ', '.join(plus_minus(*one, 3) for one in zip(
+            model.delay[own], estimate.delay_std[own].tolist(), strict=True))
         words[channel.name] = f'{listed} ({how})' if isinstance(channel.delay, str) else listed
     return words
