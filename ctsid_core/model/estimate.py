@@ -188,7 +188,7 @@ class Estimate:
 
     @property
     def delay_std(self) -> Array:
-        """Standard deviation of each dead time, (nu,) [s]; 0 where it was given."""
+        """Standard deviation of each dead time, (nu,) [s]; 0 where none was looked for."""
         return self._derived(known.delay_deviation, 'nu')
 
     def frequency_response_std(self, omega: ArrayLike) -> ResponseDeviation:
