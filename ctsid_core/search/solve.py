@@ -278,9 +278,9 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
-        (Choice('domain', domain, 'found from inputs and past outputs together, which predicts '
-                'these data better than the best simulation from the inputs alone; its fits are '
-                'of simulations'),),
+        (Choice('domain', domain, 'inputs and past outputs together predict these data better '
+                'than the inputs alone simulate them: the model was found so, and is judged by '
+                'how it simulates'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bound(one, plant.free)), plant=plant.matrices,
         doubt=_late(part, one, plant.free)
