@@ -240,9 +240,11 @@ def test_a_column_may_be_called_like_its_file_or_a_field_of_pictures(tmp_path, c
 
 
 def test_the_name_of_a_file_makes_no_column_a_command(tmp_path):
-    """All columns of motor_drive.csv would be commands, its speed among them."""
-    bag = driven(tmp_path / 'motor_drive.csv', ('u', 'v', 'w', 'speed'))
-    acts = {c.key[1]: c.acts > c.measures for c in ranked(bag).found}
+    """All columns would be commands, set points and sticks, the speed among them."""
+    bag = driven(tmp_path / 'target_motor_joy.csv', ('u', 'v', 'w', 'speed'))
+    found = ranked(bag).found
+    acts = {c.key[1]: c.acts > c.measures for c in found}
+    assert not any(c.wanted or c.set_point for c in found)
     assert acts == {'u': True, 'v': False, 'w': False, 'speed': False}
 
 

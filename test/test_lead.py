@@ -11,7 +11,7 @@ from plants import held_response, noisy, plant
 import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
-from ctsid_core.judge.conclusion import _of_enough_frequencies
+from ctsid_core.judge.conclusion import _asked_for_leads
 from ctsid_core.judge.lead import lead_by_search, lead_of_outputs
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
@@ -195,4 +195,4 @@ def test_a_stick_tells_the_lead_of_a_lag(seed):
 def test_inputs_that_move_together_are_asked_for_no_lead():
     """Of a sum of two others it was said that it is stamped 3.4 s late."""
     seen = tuple(Excitation('u', frequencies=9.0, own=own) for own in (0.0, 0.05, 0.5))
-    assert _of_enough_frequencies((True, True, True), seen, 2) == (False, False, True)
+    assert _asked_for_leads((True, True, True), seen, 2) == (False, False, True)

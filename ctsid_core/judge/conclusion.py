@@ -91,7 +91,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     # Last what a budget may leave out.
-    asked = _of_enough_frequencies(sought, seen[0], model.n)
+    asked = _asked_for_leads(sought, seen[0], model.n)
     lead = np.zeros(moving.nu) if simulated is None or not any(asked) or effort.leaves_out(
         'whether outputs answer before inputs') else lead_of_outputs(*simulated, asked)
     change = Change() if solution.refit or simulated is None else \
@@ -102,7 +102,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
-    asked = _of_enough_frequencies(sought, seen[0], STATES)
+    asked = _asked_for_leads(sought, seen[0], STATES)
     if verdict.grade is not Grade.GOOD and any(asked) and not lead.any() and not effort.over:
         lead = _lead_by_search(solution, asked)
         if lead.any():
@@ -305,7 +305,7 @@ def _lead(found: Array, part: Usable) -> Array:
     return np.where(lead > WITHIN * interval, lead, 0.0)
 
 
-def _of_enough_frequencies(sought: tuple[bool, ...], seen: tuple[Excitation, ...],
+def _asked_for_leads(sought: tuple[bool, ...], seen: tuple[Excitation, ...],
                            states: int) -> tuple[bool, ...]:
     """
     Return of which inputs a lead may be looked for.

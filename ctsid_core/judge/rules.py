@@ -40,7 +40,7 @@ from ctsid_core.signals.record import Record
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _SURELY = 1.25          # times the motion that makes a response known: with less noise there may
                         # be more states
-UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
+UNCORRELATED = 0.1      # part of an input's power that other inputs do not explain
 _LEAKS = 0.6            # frequencies more than its sines that an input seems to have: one sine
                         # sent at 5 to 100 Hz has 1.2, two have 2.2 at most in 95 of 100
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states

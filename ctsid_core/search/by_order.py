@@ -121,11 +121,11 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     if thin is samples:
         return samples, found
     if samples.effort.beyond(SEARCH):
-        found = {chosen: found[chosen]}
+        return samples, {chosen: replace(climbed(samples, found[chosen], free),
+                                         found=found[chosen])}
     # HD-PBSID has seen all samples.
     delay = found[chosen].fit.model.delay
-    seen = [] if samples.effort.beyond(SEARCH) else [
-        (bounded(poles, np.inf, free.fastest), delay) for poles in subspace(chosen, delay)]
+    seen = [(bounded(poles, np.inf, free.fastest), delay) for poles in subspace(chosen, delay)]
     return samples, {n: replace(climbed(
         samples, one, free, *((STEPS, seen) if n == chosen else (1,))), found=one)
         for n, one in found.items()}

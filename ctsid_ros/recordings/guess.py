@@ -25,14 +25,14 @@ from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import unit_of_time
 from ctsid_ros.recordings.excited import Stretch, excited, pace, together
-from ctsid_ros.recordings.guess_candidates import Candidate, is_wanted
+from ctsid_ros.recordings.guess_candidates import Candidate
 from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
 from ctsid_ros.recordings.guess_ranking import (
     Pair,
     Ranking,
+    further_commands,
     in_order,
-    moved_as_well,
     one_way,
     rank,
 )
@@ -240,11 +240,11 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     pair = pairs[pick - 1]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
         _why(pair), *_followed(pair, ranking.found),
-        *(() if named.outputs else _moves_as_well(pair, pairs, ranking.compared))]
+        *(() if named.outputs else _further_outputs(pair, pairs, ranking.compared))]
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
-    beside = _moved_as_well(inputs, outputs, ranking)
+    beside = _further_commands(inputs, outputs, ranking)
     reasons += beside
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
@@ -269,11 +269,11 @@ def _why(pair: Pair) -> str:
         f'closed around them, or the roles are the other way round; {_turned(pair)}')
 
 
-def _moved_as_well(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
+def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
                    ranking: Ranking) -> list[str]:
     """Say which commands move an output, too, and how to get one model with all of them."""
     for y in outputs:
-        others, without, share = moved_as_well(inputs, y, ranking)
+        others, without, share = further_commands(inputs, y, ranking)
         if others:
             named = [word for flag, signals in (('--input', [*inputs, *others]),
                                                 ('--output', outputs))
@@ -285,7 +285,7 @@ def _moved_as_well(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
     return []
 
 
-def _moves_as_well(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
+def _further_outputs(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
     """Say how to get one model of all the outputs that an input moves, if they are several."""
     outputs = [words(p.output) for p in pairs if p.input is pair.input
                and p.output.acts <= p.output.measures and not _drives(p.output, compared)
@@ -304,20 +304,16 @@ def _drives(signal: Candidate, pairs: Sequence[Pair]) -> bool:
 
 def _followed(pair: Pair, found: Sequence[Candidate]) -> list[str]:
     """Say that a set point is one, and which commands there are."""
-    if not _set_point(pair.input):
+    if not pair.input.set_point:
         return []
     commands = sorted((c for c in found if c.acts > c.measures and c is not pair.output
-                       and not _set_point(c)),
+                       and not c.set_point),
                       key=lambda c: -c.acts)
     named = '; of the plant alone it is from the command that acts on it' + ''.join(
         f': {shlex.join(("--input", words(c), "--output", words(pair.output)))}'
         for c in commands[:1])
     return [f'{words(pair.input)} is named like a set point: the model is of the closed loop, '
             f'controller and plant{named}']
-
-
-def _set_point(signal: Candidate) -> bool:
-    return any(is_wanted(plain(word)) for word in signal.key)
 
 
 def _turned(pair: Pair) -> str:

@@ -108,8 +108,19 @@ class Candidate:
 
     @property
     def wanted(self) -> bool:
-        """Whether it is named like a setpoint or a stick: what acts on the plant comes after."""
-        return is_wanted(self.key[0]) or bool(STICK.search(self.key[0]))
+        """Whether its topic is named like a setpoint or a stick: what acts comes after."""
+        name = _name(self.topic)
+        return is_wanted(name) or bool(STICK.search(name))
+
+    @property
+    def set_point(self) -> bool:
+        """Whether its topic or it is named like a setpoint."""
+        return any(is_wanted(plain(word)) for word in (_name(self.topic), self.key[1]))
+
+
+def _name(topic: TopicSurvey) -> str:
+    """Return the name of a topic; of a table, whose is that of a file, none: columns differ."""
+    return '' if topic.info.type.startswith('table/') else topic.info.name
 
 
 def is_wanted(topic: str) -> bool:
@@ -119,8 +130,7 @@ def is_wanted(topic: str) -> bool:
 
 def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     """Return how likely name and type alone make a field an input, and an output: 0 to 1."""
-    kind, field = topic.info.type, plain(field)
-    name = '' if kind.startswith('table/') else topic.info.name     # of a file, all columns alike
+    name, kind, field = _name(topic), topic.info.type, plain(field)
     command = 1.5 * bool(COMMAND_NAME.search(name)) + bool(_COMMAND_TYPE.match(kind))
     command += 0.5 * bool(COMMAND_NAME.search(field))
     measured = bool(MEASURED_NAME.search(name)) + 1.5 * bool(_MEASURED_TYPE.match(kind))

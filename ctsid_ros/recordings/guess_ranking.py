@@ -25,7 +25,6 @@ from ctsid_ros.recordings.guess_candidates import (
     Candidate,
     Key,
     candidates,
-    is_wanted,
 )
 from ctsid_ros.recordings.guess_pairs import (
     STEPS,
@@ -166,7 +165,7 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
     return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
 
 
-def moved_as_well(inputs: Sequence[Candidate], y: Candidate,
+def further_commands(inputs: Sequence[Candidate], y: Candidate,
                   ranking: Ranking) -> tuple[list[Candidate], float, float]:
     """
     Return further commands that move an output, and what inputs explain without and with them.
@@ -180,7 +179,7 @@ def moved_as_well(inputs: Sequence[Candidate], y: Candidate,
         return [], 0.0, 0.0
     commands = sorted((c for c in ranking.found if c not in (*inputs, y) and (
         c.acts, c.stays) > (c.measures, False) and (
-            taken[0].wanted or not (c.wanted or is_wanted(plain(c.key[1]))))),
+            taken[0].wanted or not (c.wanted or c.set_point))),
         key=lambda c: -c.acts)[:_MOST_COMMANDS]
     alike = Alike([*inputs, y, *commands], ranking.clock)
     without = share = comparison.explained(
