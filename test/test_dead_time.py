@@ -127,6 +127,24 @@ def test_what_is_taken_for_none_is_as_far_ahead_as_a_climb_goes(monkeypatch):
     assert ahead[0] * white[0] == pytest.approx(late.model.delay[0], rel=0.2)
 
 
+def test_no_dead_time_goes_below_0_for_the_sake_of_another(monkeypatch):
+    """Of two inputs that are all but alike one seems 2 deviations ahead, the other one behind."""
+    seen, times = [], state_space._times
+    monkeypatch.setattr(state_space, '_times', lambda *given: seen.append(given) or times(*given))
+    rng = np.random.default_rng(0)
+    t_u, t = 0.02 * np.arange(1500), 0.003 + 0.01 * np.arange(2900)
+    u = np.repeat(rng.standard_normal((150, 1)), 10, axis=0) + 0.1 * np.repeat(
+        rng.standard_normal((150, 2)), 10, axis=0)
+    y = held_response(plant(HD51.A, np.hstack((HD51.B, HD51.B)), HD51.C), t_u, u, t)
+    samples = samples_of([Record.from_arrays(t_u, u, t, noisy(rng, y, 10), input_hold='zoh')],
+                         [[None]])
+    free = Free(False, True, (True, True), 1.0, -1e-6, 100.0)
+    held_at_0 = replace(free, delays=(False, False))
+    fit = climb(samples, fit_at(samples, HD51.poles, np.zeros(2), held_at_0), held_at_0)
+    entry_changes(samples, fit, free)
+    assert np.all(seen[-1][4] > -1e-9)
+
+
 @pytest.mark.parametrize('seed', [2, *slow(0, 1, 3, 4, 5)])
 def test_a_sampled_loop_knows_its_pole_beside_a_dead_time_of_none(seed):
     """The input is u = -6 (y - r) of the same instant: just after 0 it has not jumped yet."""

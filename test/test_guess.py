@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 import re
 import shlex
+from types import SimpleNamespace
 
 from bag_fixtures import IMU, START, Sent, array, header, imu, joints, make, vector, write_mcap
 from flights import S, at, flight, spoilt, stamp_of
@@ -30,7 +31,7 @@ from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.coherence import lag, mean_coherence
 from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
-from ctsid_ros.recordings.guess import _AT_ONCE, better, guess, scalars
+from ctsid_ros.recordings.guess import _AT_ONCE, _followed, better, guess, scalars
 from ctsid_ros.recordings.guess_candidates import no_signal
 from ctsid_ros.recordings.guess_pairs import (
     Comparison,
@@ -38,7 +39,7 @@ from ctsid_ros.recordings.guess_pairs import (
     effective_frequencies,
     without_slow,
 )
-from ctsid_ros.recordings.guess_ranking import rank
+from ctsid_ros.recordings.guess_ranking import Pair, further_commands, rank
 from ctsid_ros.recordings.survey import survey
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -229,6 +230,35 @@ def test_commands_that_move_an_output_as_well_are_told(tmp_path, capsys, columns
     found = load_estimate(tmp_path / 'all' / 'model.json')
     assert found.good
     assert found.model.dc_gain[0] == pytest.approx([1.0, 0.7], abs=0.02)
+
+
+# What repeats the output, what is measured, and what explains less than a hundredth more.
+@pytest.mark.parametrize(('name', 'share', 'make'), [
+    ('motor_cmd_done', 0.0, lambda v, y: np.append([0.0, 0.0], y[:-2])),
+    ('state_feedback', 0.7, lambda v, y: v),
+    ('brake_cmd', 0.07, lambda v, y: v)])
+def test_what_is_no_further_command_is_not_told(tmp_path, name, share, make):
+    rng, t = np.random.default_rng(3), 0.02 * np.arange(1500)
+    u, v = (np.append(0.0, rng.uniform(-1.0, 1.0, 25))[
+        np.searchsorted(np.sort(rng.uniform(0.0, 30.0, 25)), t)] for _ in range(2))
+    gust = 0.5 * (share == 0.0) * lfilter([0.2], [1.0, -0.98], rng.standard_normal(len(t)))
+    y = lfilter([1.0 - np.exp(-0.06)], [1.0, -np.exp(-0.06)], u + share * v + gust)
+    np.savetxt(tmp_path / 'run.csv', np.column_stack((t, u, make(v, y), y)), delimiter=',',
+               comments='', header=f'time,throttle_cmd,{name},speed')
+    with open_bag(tmp_path / 'run.csv') as bag:
+        ranking = rank(bag, survey(bag))
+    of = {c.key[1]: c for c in ranking.found}
+    further, without, share = further_commands([of['throttle_cmd']], of['speed'], ranking)
+    assert not further
+    assert without == share
+
+
+def test_a_controllers_own_output_is_not_offered_as_its_input():
+    """The only command there was the output itself."""
+    wish, u = (SimpleNamespace(key=('run', name), acts=1.0, measures=0.0, set_point=wanted)
+               for name, wanted in (('target_speed', True), ('u', False)))
+    told, = _followed(Pair(wish, u, None, None), (wish, u))
+    assert told.endswith('the command that acts on it')
 
 
 def test_a_column_may_be_called_like_its_file_or_a_field_of_pictures(tmp_path, capsys):
