@@ -232,6 +232,25 @@ def test_commands_that_move_an_output_as_well_are_told(tmp_path, capsys, columns
     assert found.model.dc_gain[0] == pytest.approx([1.0, 0.7], abs=0.02)
 
 
+@pytest.mark.parametrize('named', [[], ['--output', 'speed']])
+def test_all_commands_are_inputs_where_none_is_named(tmp_path, capsys, named):
+    """Of two motors each explains half; a battery that sags with both would explain it all."""
+    rng, count = np.random.default_rng(7), 3000
+    motors = np.repeat(rng.uniform(0.0, 1.0, (count // 40, 2)), 40, axis=0)
+    load = motors.sum(axis=1)
+    speed = lfilter([1.0 - np.exp(-0.02)], [1.0, -np.exp(-0.02)], load)
+    np.savetxt(tmp_path / 'run.csv', np.column_stack((
+        0.02 * np.arange(count), motors, 12.0 - 0.3 * load + 0.01 * rng.standard_normal(count),
+        speed + 0.01 * rng.standard_normal(count))),
+        delimiter=',', comments='', header='time,port,starboard,battery,speed')
+    assert main(['try', str(tmp_path / 'run.csv'), *named, '--out', str(tmp_path / 'out')]) == 0
+    assert 'all are inputs' in capsys.readouterr().err
+    found = load_estimate(tmp_path / 'out' / 'model.json')
+    gains = dict(zip(found.model.input_names, found.model.dc_gain[0], strict=True))
+    assert found.good
+    assert gains == pytest.approx({'port': 1.0, 'starboard': 1.0}, abs=0.03)
+
+
 # What repeats the output, what is measured, and what explains less than a hundredth more.
 @pytest.mark.parametrize(('name', 'share', 'make'), [
     ('motor_cmd_done', 0.0, lambda v, y: np.append([0.0, 0.0], y[:-2])),

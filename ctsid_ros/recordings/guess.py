@@ -172,12 +172,9 @@ def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False, named: Named 
         Like `guess`, if it is strict.
     """
     ranking = rank(bag, survey, named.inputs, named.outputs)
-    if strict and named != NOBODY and not ranking.pairs:
-        side, other = ('inputs', 'output') if named.inputs else ('outputs', 'input')
-        raise BagError(f'these {side} tell nothing about which {other} belongs to them; name that '
-                       f'as well: --{other} FIELD')
     by_names = strict and not ranking.pairs
-    pairs = _by_names(ranking, survey) if by_names else _one_each(ranking.pairs, named)[:OFFERED]
+    pairs = _by_names(ranking, survey, named) if by_names else \
+        _one_each(ranking.pairs, named)[:OFFERED]
     return [_guess(ranking, survey, pairs, number, by_names, named)
             for number in range(1, len(pairs) + 1)]
 
@@ -238,13 +235,16 @@ def by_names(bag: Bag, keys: Iterable[tuple[str, str]]) -> set[tuple[str, str]]:
 def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool,
            named: Named = NOBODY) -> Guess:
     pair = pairs[pick - 1]
-    reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
-        _why(pair), *_followed(pair, ranking.found),
-        *(() if named.outputs else _further_outputs(pair, pairs, ranking.compared))]
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
-    beside = _further_commands(inputs, outputs, ranking)
+    chosen = not (named.inputs or pair.input.wanted or pair.input.set_point)
+    further, beside = _further_commands(inputs, outputs, ranking, chosen)
+    inputs += further
+    by_names = by_names and not further
+    reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
+        _why(pair), *_followed(pair, ranking.found),
+        *(() if named.outputs else _further_outputs(pair, pairs, ranking.compared, inputs))]
     reasons += beside
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
@@ -270,31 +270,40 @@ def _why(pair: Pair) -> str:
 
 
 def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
-                   ranking: Ranking) -> list[str]:
-    """Say which commands move an output, too, and how to get one model with all of them."""
+                      ranking: Ranking, chosen: bool) -> tuple[list[Candidate], list[str]]:
+    """
+    Return further inputs, and say which commands move an output, too.
+
+    One that is left out bends what is found of the others: where inputs are to be chosen all are.
+    Where they are named, or a set point, it is said how to get one model of all.
+    """
     for y in outputs:
         others, without, share = further_commands(inputs, y, ranking)
         if others:
-            named = [word for flag, signals in (('--input', [*inputs, *others]),
-                                                ('--output', outputs))
-                     for one in signals for word in (flag, words(one))]
             it = 'it' if len(others) == 1 else 'them'
-            return [f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '
+            said = (f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '
                     f'{100 * share:.0f} % of its variance are explained with {it}, '
-                    f'{100 * without:.0f} % without; one model of all: {shlex.join(named)}']
-    return []
+                    f'{100 * without:.0f} % without; ')
+            if chosen:
+                return others, [f'{said}all are inputs; without {it}: {_said(inputs, outputs)}']
+            return [], [f'{said}one model of all: {_said([*inputs, *others], outputs)}']
+    return [], []
 
 
-def _further_outputs(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
+def _said(inputs: Sequence[Candidate], outputs: Sequence[Candidate]) -> str:
+    """Return the words that name some inputs and outputs."""
+    return shlex.join(word for flag, signals in (('--input', inputs), ('--output', outputs))
+                      for one in signals for word in (flag, words(one)))
+
+
+def _further_outputs(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair],
+                     inputs: Sequence[Candidate]) -> list[str]:
     """Say how to get one model of all the outputs that an input moves, if they are several."""
-    outputs = [words(p.output) for p in pairs if p.input is pair.input
+    outputs = [p.output for p in pairs if p.input is pair.input
                and p.output.acts <= p.output.measures and not _drives(p.output, compared)
                and p.explained.past >= _AS_WELL * pair.explained.past]
-    if len(outputs) < 2:
-        return []
-    named = [word for output in outputs for word in ('--output', output)]
     return [f'{words(pair.input)} moves {len(outputs)} outputs; one model of them all: '
-            + shlex.join(('--input', words(pair.input), *named))]
+            + _said(inputs, outputs)] if len(outputs) > 1 else []
 
 
 def _drives(signal: Candidate, pairs: Sequence[Pair]) -> bool:
@@ -310,16 +319,14 @@ def _followed(pair: Pair, found: Sequence[Candidate]) -> list[str]:
                        and not c.set_point),
                       key=lambda c: -c.acts)
     named = '; of the plant alone it is from the command that acts on it' + ''.join(
-        f': {shlex.join(("--input", words(c), "--output", words(pair.output)))}'
-        for c in commands[:1])
+        f': {_said([c], [pair.output])}' for c in commands[:1])
     return [f'{words(pair.input)} is named like a set point: the model is of the closed loop, '
             f'controller and plant{named}']
 
 
 def _turned(pair: Pair) -> str:
     """Return how to take a pair the other way round."""
-    return 'to turn it round: ' + shlex.join(('--input', words(pair.output),
-                                              '--output', words(pair.input)))
+    return f'to turn it round: {_said([pair.output], [pair.input])}'
 
 
 def words(signal: Candidate) -> str:
@@ -327,9 +334,12 @@ def words(signal: Candidate) -> str:
     return ' '.join(signal.key)
 
 
-def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
+def _by_names(ranking: Ranking, survey: Survey, named: Named) -> tuple[Pair, ...]:
     """Return pairs where the data do not say: what is named like a command, a measurement."""
     found = ranking.found
+    inputs, outputs = ([c for c in found if c.key in own]
+                       or [c for c in found if c.key not in rest]
+                       for own, rest in (named, named[::-1]))
     stepping = {c for c in found if c.stays and len(np.unique(
         c.held[np.isfinite(c.held)])) <= _FEW_LEVELS}
 
@@ -339,13 +349,13 @@ def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
                 -pair.score)
 
     compared = {(p.input, p.output): p for p in ranking.compared}
-    named = sorted((compared.get((u, y)) or Pair(u, y, Explained(), ranking.clock)
-                    for u in found for y in found if u is not y), key=order)[:_BEST_NAMED]
-    pairs = sorted(named, key=lambda p: order(p, in_order(p)))
+    likely = sorted((compared.get((u, y)) or Pair(u, y, Explained(), ranking.clock)
+                     for u in inputs for y in outputs if u is not y), key=order)[:_BEST_NAMED]
+    pairs = sorted(likely, key=lambda p: order(p, in_order(p)))
     if not pairs:
         raise BagError('a model needs an input and an output that move, but '
                        + _what_moves(found, survey) + '; `ctsid info` shows what is there')
-    return tuple(pairs[:OFFERED])
+    return _one_each(tuple(pairs), named)[:OFFERED]
 
 
 def _what_moves(found: Sequence[Candidate], survey: Survey) -> str:

@@ -146,7 +146,7 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     if _NO_MOTION.match(kind) or _DERIVED_FIELD.search(field):
         measures *= 0.5
     if _NO_MOTION.match(kind) or _HOUSEKEEPING.search(field):
-        acts *= 0.5
+        acts *= 0.2
     return acts, measures
 
 
