@@ -25,6 +25,7 @@ from plants import (
 )
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
 from ctsid_core.likelihood import state_space
@@ -34,7 +35,7 @@ from ctsid_core.likelihood.state_space import _shown, entry_changes
 from ctsid_core.model.validation import simulation
 from ctsid_ros.studies.robots.experiment import stamps
 from ctsid_ros.studies.robots.inputs import drive
-from ctsid_ros.studies.robots.linear import Held
+from ctsid_ros.studies.robots.linear import Held, Linear
 
 HD51 = PLANTS['hd51']
 DIRECT = replace(HD51, D=np.array([[0.1], [-0.05]]))
@@ -525,6 +526,33 @@ def test_predictions_find_the_dead_time_of_a_loop():
                      Settings(feedthrough=False))
     assert found.verdict.grade is Grade.GOOD
     assert found.model.delay == pytest.approx([0.12], abs=0.01)
+
+
+def in_gusts(seed: int, kind: str) -> Record:
+    """Return a record of a pair of poles with a dead time of 0.04 s, gusts at its input."""
+    rng, pole = np.random.default_rng([seed, 9]), 4.0 * complex(-0.5, np.sqrt(0.75))
+    late = Linear.of_roots(1.0, (pole, pole.conjugate()), 0.04)
+    t_u, t_y = np.arange(-1.0, 20.0, 0.02), np.arange(0.003, 20.0, 0.01)
+    u = drive(kind, rng, t_u, 20.0, 1.3)
+    u[t_u < 0.0] = 0.0
+    gust = lfilter([0.24], [1.0, -0.97], rng.standard_normal(u.shape), axis=0)
+    y = late.move(Held(t_u, u + 0.25 * u.std() * gust), t_y)[:, 0]
+    return Record.from_arrays(t_u, u, t_y, y + 0.01 * y.std() * rng.standard_normal(len(t_y)),
+                              input_hold='zoh')
+
+
+# From none to 0.06 s they are as likely; it was said to be 0 to within 3 to 9 ms.
+@pytest.mark.parametrize('cases', [[(9, 'pilot'), (2, 'multisine')], *slow([
+    (seed, kind) for seed in range(13, 25) for kind in ('multisine', 'pilot', 'staircase')])])
+def test_a_dead_time_beside_gusts_is_as_unsure_as_those_that_are_as_likely(cases):
+    """14 of the 36 that are slow were more than three deviations off, now 6."""
+    off = []
+    for case in cases:
+        found = identify(in_gusts(*case), Settings(feedthrough=False))
+        assert found.verdict.grade is Grade.GOOD
+        off.append(abs(found.model.delay[0] - 0.04) / found.delay_std[0])
+    print('beyond 3:', np.mean(np.array(off) > 3.0), 'worst', max(off))
+    assert np.mean(np.array(off) > 3.0) <= 0.2
 
 
 def accelerometer(seed: int) -> tuple[Record, StateSpace]:

@@ -80,7 +80,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                       solution.refit, solution.predictor)
     simulated = solution.simulated
     effort.check()
-    apart = rivals_apart(samples, fit.model, solution.rivals)[:len(last.u)]
+    apart = rivals_apart(samples, fit.model, () if solution.by_prediction else solution.rivals)[
+        :len(last.u)]
     seen = excitations(samples, last, covariance, model, min(_within(solution), samples.length),
                        apart)
     effort.check()

@@ -76,6 +76,7 @@ class PredictionFit:
     errors: Array             # (horizons, ny): of predictions on the last record, over the motion
     information: float        # Schwarz's criterion, by which orders are compared
     orders: dict[int, Tried]  # all that were tried
+    others: tuple[PredictionFit, ...] = ()      # that were climbed as far
 
 
 @dataclass(frozen=True)
@@ -116,15 +117,17 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     # As they are used: the filter starts from the first samples, not from the best states.
     best = min(known, key=lambda one: _as_used(one, joint))
     if best is straight:                    # its dead times were compared with none
-        return replace(best, orders={**orders, best.found.fit.model.n: best.found})
-    # One sample ahead any error is small where samples are dense.
-    needed, fewer = without_needless(joint, best.found, best.free, 0.0, each=False)
-    other = replace(best, free=fewer) if needed is best.found else \
-        _judged(joint, needed.fit, fewer, last)
-    # Far ahead a dead time may show that hardly does one sample ahead.
-    if other is not None and _as_used(other, joint) <= _as_used(best, joint):
-        best = other
-    return replace(best, orders=orders)
+        orders[best.found.fit.model.n] = best.found
+    else:
+        # One sample ahead any error is small where samples are dense.
+        needed, fewer = without_needless(joint, best.found, best.free, 0.0, each=False)
+        other = replace(best, free=fewer) if needed is best.found else \
+            _judged(joint, needed.fit, fewer, last)
+        # Far ahead a dead time may show that hardly does one sample ahead.
+        if other is not None:
+            known = [other, *(one for one in known if one is not best or needed is not one.found)]
+            best = min(other, best, key=lambda one: _as_used(one, joint))
+    return replace(best, orders=orders, others=tuple(one for one in known if one is not best))
 
 
 def _as_used(one: PredictionFit, joint: Samples) -> float:

@@ -191,7 +191,8 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free) or otherwise or wanted or needless
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
-                    smaller=smaller, rivals=_rivals(others), drifting=drifting,
+                    smaller=smaller, drifting=drifting,
+                    rivals=_rivals([(gain, one.fit.model) for gain, one in others]),
                     singular_values=values, condition=condition)
 
 
@@ -282,7 +283,8 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
                 'than the inputs alone simulate them: the model was found so, and is judged by '
                 'how it simulates'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_at_bound(one, plant.free)), plant=plant.matrices,
+         *_at_bound(one, plant.free)), plant=plant.matrices, rivals=_other_plants(
+            part, samples, found, plant.free.limit),
         doubt=_late(part, one, plant.free)
         or _doubt(fit.model.poles, samples, plant.free, settings),
         predictor=(found.samples, found.found.fit, found.free))
@@ -336,13 +338,26 @@ def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
     return [*((gain + more, one) for gain, one in others), (more, before)]
 
 
-def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
+def _rivals(others: list[tuple[float, ModalModel]]) -> tuple[tuple[float, ModalModel], ...]:
     """Return the models that might be right, with their share of the Akaike weights."""
     gains = np.array([0.0, *(gain for gain, _ in others)])
     weights = np.exp(0.5 * (gains - gains.max()))
     shares = (weights / weights.sum()).tolist()[1:]
-    return tuple((share, one.fit.model) for share, (_, one) in zip(shares, others, strict=True)
+    return tuple((share, one) for share, (_, one) in zip(shares, others, strict=True)
                  if share > _NEGLIGIBLE)
+
+
+def _other_plants(part: Joint, samples: Samples, found: PredictionFit,
+                  limit: float) -> tuple[tuple[float, ModalModel], ...]:
+    """Return the plants of other predictors that might be right, with their share."""
+    others: list[tuple[float, ModalModel]] = []
+    for one in found.others:
+        fit = one.found.fit
+        m = plant_of(fit, found.samples, part.last, limit)
+        plant = None if m is None else modal_of(m, samples, fit.model.delay[:samples.nu])
+        if plant is not None:
+            others.append((_advantage(found.found, one.found), plant))
+    return _rivals(others)
 
 
 def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
@@ -612,7 +627,8 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
                 'better than the best simulation from the inputs alone'),),
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
         doubt=_doubt(np.linalg.eigvals(found.matrices.A), samples, free, settings),
-        plant=found.matrices, errors_ahead=found.errors, simulating=None if plant is None else (
+        plant=found.matrices, errors_ahead=found.errors, rivals=_other_plants(
+            part, samples, found, np.inf), simulating=None if plant is None else (
             samples, plant.simulated.fit, plant.free))
 
 
