@@ -545,14 +545,14 @@ def in_gusts(seed: int, kind: str) -> Record:
 @pytest.mark.parametrize('cases', [[(9, 'pilot'), (2, 'multisine')], *slow([
     (seed, kind) for seed in range(13, 25) for kind in ('multisine', 'pilot', 'staircase')])])
 def test_a_dead_time_beside_gusts_is_as_unsure_as_those_that_are_as_likely(cases):
-    """14 of the 36 that are slow were more than three deviations off, now 6."""
+    """14 of the 36 that are slow were more than three deviations off."""
     off = []
     for case in cases:
         found = identify(in_gusts(*case), Settings(feedthrough=False))
         assert found.verdict.grade is Grade.GOOD
         off.append(abs(found.model.delay[0] - 0.04) / found.delay_std[0])
-    print('beyond 3:', np.mean(np.array(off) > 3.0), 'worst', max(off))
-    assert np.mean(np.array(off) > 3.0) <= 0.2
+    print(f'rms {np.sqrt(np.mean(np.square(off))):.2f}, worst {max(off):.1f} deviations')
+    assert max(off) < 2.0
 
 
 def accelerometer(seed: int) -> tuple[Record, StateSpace]:

@@ -310,12 +310,20 @@ def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, f
 
 
 def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float, far: bool) -> float:
-    """
-    Return half the change of a dead time that costs 4 in -2 log likelihood [s].
+    """Return half the change of a dead time that costs 4 in -2 log likelihood, the mean [s]."""
+    found = two_deviations(samples, fit, free, j, change, far=far)
+    return 0.5 * float(np.mean(np.abs(found))) if found else change
 
-    The mean of both sides, all that is linear free and, if it is asked how `far`, poles and other
-    dead times. Where inputs are held, the likelihood may have two maxima, the truth in between:
-    how it is curved at one of them says little of how far the other is.
+
+def two_deviations(samples: Samples, fit: Fit, free: Free, j: int, change: float, *,
+                   far: bool = False) -> list[float]:
+    """
+    Return the changes of a dead time to both sides that cost 4 in -2 log likelihood [s].
+
+    No further than it may go, with all that is linear free and, if it is asked how `far`, poles
+    and other dead times; `change` is about half of them. Where inputs are held, the likelihood may
+    have several maxima, the truth in between: how it is curved at one of them says little of how
+    far the others are.
     """
     model, found = fit.model, list[float]()
     held = replace(free, delays=tuple(late and k != j for k, late in enumerate(free.delays)))
@@ -335,8 +343,8 @@ def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float, far: b
             deviations = float(np.sqrt(max(rise, 0.0)))
             share = min((2.0 - before) / max(deviations - before, 1e-300), 1.0)
             reach, least, step = least + share * (step - least), step, 2.0 * step
-        found += [0.5 * reach] if reach else []
-    return float(np.mean(found)) if found else change
+        found += [side * reach] if reach else []
+    return found
 
 
 def _read_alike(samples: Samples, fit: Fit) -> Array:

@@ -24,7 +24,7 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.likelihood.state_space import matrices_of, modal_of
+from ctsid_core.likelihood.state_space import matrices_of, modal_of, two_deviations
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import MORE, SEARCHED, affordable, search_orders
@@ -284,7 +284,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
                 'how it simulates'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bound(one, plant.free)), plant=plant.matrices, rivals=_other_plants(
-            part, samples, found, plant.free.limit),
+            part, settings, samples, found, plant.free.limit),
         doubt=_late(part, one, plant.free)
         or _doubt(fit.model.poles, samples, plant.free, settings),
         predictor=(found.samples, found.found.fit, found.free))
@@ -347,17 +347,33 @@ def _rivals(others: list[tuple[float, ModalModel]]) -> tuple[tuple[float, ModalM
                  if share > _NEGLIGIBLE)
 
 
-def _other_plants(part: Joint, samples: Samples, found: PredictionFit,
+def _other_plants(part: Joint, settings: Settings, samples: Samples, found: PredictionFit,
                   limit: float) -> tuple[tuple[float, ModalModel], ...]:
-    """Return the plants of other predictors that might be right, with their share."""
-    others: list[tuple[float, ModalModel]] = []
-    for one in found.others:
-        fit = one.found.fit
+    """
+    Return other plants that might be right, of predictors, with their share.
+
+    Those of predictors that were climbed to, too, and of this one with dead times two deviations
+    off, that vary by their shares as much as these.
+    """
+    def plant(fit: Fit) -> ModalModel | None:
         m = plant_of(fit, found.samples, part.last, limit)
-        plant = None if m is None else modal_of(m, samples, fit.model.delay[:samples.nu])
-        if plant is not None:
-            others.append((_advantage(found.found, one.found), plant))
-    return _rivals(others)
+        return None if m is None else modal_of(m, samples, fit.model.delay[:samples.nu])
+
+    fit, others = found.found.fit, [(one, plant(one.found.fit)) for one in found.others]
+    rivals = list(_rivals([(_advantage(found.found, one.found), other)
+                           for one, other in others if other is not None]))
+    sought = own_delays(part, settings).unknown_delays(samples.nu)
+    for j in np.flatnonzero(sought).tolist():
+        if samples.effort.beyond(SEARCH):
+            break
+        changes = two_deviations(found.samples, fit, found.free, j, samples.interval)
+        for change in changes:
+            delay = fit.model.delay.copy()
+            delay[j] = max(delay[j] + change, 0.0)
+            with suppress(np.linalg.LinAlgError):
+                beside = plant(fit_at(found.samples, fit.model.poles, delay, found.free, fit))
+                rivals += [(0.25 / len(changes), beside)] if beside is not None else []
+    return tuple(rivals)
 
 
 def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
@@ -628,7 +644,7 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
         doubt=_doubt(np.linalg.eigvals(found.matrices.A), samples, free, settings),
         plant=found.matrices, errors_ahead=found.errors, rivals=_other_plants(
-            part, samples, found, np.inf), simulating=None if plant is None else (
+            part, settings, samples, found, np.inf), simulating=None if plant is None else (
             samples, plant.simulated.fit, plant.free))
 
 
