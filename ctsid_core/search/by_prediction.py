@@ -76,7 +76,7 @@ class PredictionFit:
     errors: Array             # (horizons, ny): of predictions on the last record, over the motion
     information: float        # Schwarz's criterion, by which orders are compared
     orders: dict[int, Tried]  # all that were tried
-    others: tuple[PredictionFit, ...] = ()      # that were climbed as far
+    others: tuple[PredictionFit, ...] = ()      # that were compared with it in the end
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class Solution:
     simulating: Fitted | None = None
     # The best ones of smaller orders that simulate, and what was free in them
     smaller: tuple[tuple[ModalModel, Free], ...] = ()
-    # Others that simulate, and might be right: share of the Akaike weights, model
+    # Others that might be right: share of the Akaike weights, plant
     rivals: tuple[tuple[float, ModalModel], ...] = ()
     # Of a subspace method's regression; their drop shows the order
     singular_values: Array = field(default_factory=lambda: np.empty(0))

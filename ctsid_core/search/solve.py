@@ -35,6 +35,7 @@ from ctsid_core.search.by_prediction import (
     held_interval,
     in_record,
     information,
+    is_stable,
     plant_of,
     prediction_errors,
     solve_by_prediction,
@@ -360,7 +361,8 @@ def _other_plants(part: Joint, settings: Settings, samples: Samples, found: Pred
         return None if m is None else modal_of(m, samples, fit.model.delay[:samples.nu])
 
     fit, others = found.found.fit, [(one, plant(one.found.fit)) for one in found.others]
-    rivals = list(_rivals([(_advantage(found.found, one.found), other)
+    # None is likelier than the choice, which looks further ahead than one sample.
+    rivals = list(_rivals([(min(_advantage(found.found, one.found), 0.0), other)
                            for one, other in others if other is not None]))
     sought = own_delays(part, settings).unknown_delays(samples.nu)
     for j in np.flatnonzero(sought).tolist():
@@ -643,9 +645,10 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
                 'better than the best simulation from the inputs alone'),),
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
         doubt=_doubt(np.linalg.eigvals(found.matrices.A), samples, free, settings),
-        plant=found.matrices, errors_ahead=found.errors, rivals=_other_plants(
-            part, settings, samples, found, np.inf), simulating=None if plant is None else (
-            samples, plant.simulated.fit, plant.free))
+        plant=found.matrices, errors_ahead=found.errors,
+        rivals=_other_plants(part, settings, samples, found,
+                             0.0 if is_stable(found.matrices) else np.inf),
+        simulating=None if plant is None else (samples, plant.simulated.fit, plant.free))
 
 
 def _predicts_better(part: Joint, samples: Samples, best: Tried,

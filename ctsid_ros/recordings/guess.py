@@ -35,6 +35,7 @@ from ctsid_ros.recordings.guess_ranking import (
     in_order,
     one_way,
     rank,
+    together_moved,
 )
 from ctsid_ros.recordings.survey import CLOCKS, DECODED, Survey, TopicSurvey
 from ctsid_ros.recordings.survey import survey as look_at
@@ -173,8 +174,8 @@ def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False, named: Named 
     """
     ranking = rank(bag, survey, named.inputs, named.outputs)
     by_names = strict and not ranking.pairs
-    pairs = _by_names(ranking, survey, named) if by_names else \
-        _one_each(ranking.pairs, named)[:OFFERED]
+    pairs = _one_each(tuple(together_moved(ranking, *named)) if by_names else ranking.pairs, named)
+    pairs = pairs[:OFFERED] or (_by_names(ranking, survey, named) if by_names else ())
     return [_guess(ranking, survey, pairs, number, by_names, named)
             for number in range(1, len(pairs) + 1)]
 
@@ -240,12 +241,13 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     outputs = [found[key] for key in named.outputs] or [pair.output]
     chosen = not (named.inputs or pair.input.wanted or pair.input.set_point)
     further, beside = _further_commands(inputs, outputs, ranking, chosen)
-    inputs += further
     by_names = by_names and not further
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
-        _why(pair), *_followed(pair, ranking.found),
-        *(() if named.outputs else _further_outputs(pair, pairs, ranking.compared, inputs))]
+        *(() if further and math.isnan(pair.explained.past) else (_why(pair),)),
+        *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
+            pair, pairs, ranking.compared, [*inputs, *further]))]
     reasons += beside
+    inputs += further
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
     config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs, unit))
@@ -277,17 +279,19 @@ def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
     One that is left out bends what is found of the others: where inputs are to be chosen all are.
     Where they are named, or a set point, it is said how to get one model of all.
     """
+    found, said = list[Candidate](), list[str]()
     for y in outputs:
-        others, without, share = further_commands(inputs, y, ranking)
+        others, without, share = further_commands([*inputs, *found], y, ranking)
         if others:
             it = 'it' if len(others) == 1 else 'them'
-            said = (f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '
+            told = (f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '
                     f'{100 * share:.0f} % of its variance are explained with {it}, '
                     f'{100 * without:.0f} % without; ')
-            if chosen:
-                return others, [f'{said}all are inputs; without {it}: {_said(inputs, outputs)}']
-            return [], [f'{said}one model of all: {_said([*inputs, *others], outputs)}']
-    return [], []
+            said.append(told + (
+                f'all are inputs; without {it}: {_said([*inputs, *found], outputs)}' if chosen
+                else f'one model of all: {_said([*inputs, *others], outputs)}'))
+            found += others if chosen else []
+    return found, said
 
 
 def _said(inputs: Sequence[Candidate], outputs: Sequence[Candidate]) -> str:

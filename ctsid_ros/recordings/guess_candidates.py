@@ -28,6 +28,7 @@ Key = tuple[str, str]  # topic and field
 FEWEST = 30  # messages: fewer show no dynamics
 _MOST_OF_TOPIC = 40  # fields: a longer list is of no use to anybody
 _LEVELS, _SWITCHES = 3, 12  # an integer or bool with so few levels and changes is a switch, a mode
+NEUTRAL = 0.65  # how likely a name that says nothing makes an input, and an output
 _RAMP = 1e-4  # of its range: what leaves a straight line by less is a clock
 
 COMMAND_NAME = re.compile(
@@ -36,7 +37,7 @@ COMMAND_NAME = re.compile(
     r'effort|torque|wrench|thrust|throttle|joy|stick|(^|[/_])rc|pwm|servo|motor|actuator|input|'
     r'steer|voltage|drive|action|^u\d*$', re.IGNORECASE)
 MEASURED_NAME = re.compile(
-    r'imu|gyro|accel|odom|pose|position|state|measur|sensor|feedback|encoder|vel(?!.*cmd)|'
+    r'imu|gyro|accel|odom|pose|position|state|meas|sensor|feedback|encoder|vel(?!.*cmd)|'
     r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking', re.IGNORECASE)
 _COMMAND_TYPE = re.compile(
     r'.*(Twist|TwistStamped|Wrench|WrenchStamped|Ackermann\w*|Joy|JointTrajectory\w*|'
@@ -53,7 +54,8 @@ _NO_MOTION = re.compile(
 STICK = re.compile(r'joy|stick|(^|[/_])rc|manual|teleop', re.IGNORECASE)
 _DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_?point|target|'
                             r'command|cmd)($|[._\[])|temperature|voltage|current|battery')
-_HOUSEKEEPING = re.compile(r'batter|vbat|supply|temperature', re.IGNORECASE)
+_HOUSEKEEPING = re.compile(r'supply|temperature|(^|[/_.])temp($|[/_.])', re.IGNORECASE)
+_BATTERY = re.compile(r'batt|vbat|vbus|bus_volt', re.IGNORECASE)
 FORCE_FIELD = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
 WANTED = re.compile(
     r'set_?point|desired|target|goal|reference|(^|[/_])(ref|des|sp)($|[/_])', re.IGNORECASE)
@@ -136,7 +138,7 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     measured = bool(MEASURED_NAME.search(name)) + 1.5 * bool(_MEASURED_TYPE.match(kind))
     measured += 0.5 * bool(MEASURED_NAME.search(field))
     lean = float(np.clip((command - measured) / 1.5, -1.0, 1.0))
-    acts, measures = 0.65 + 0.35 * lean, 0.65 - 0.35 * lean
+    acts, measures = NEUTRAL + 0.35 * lean, NEUTRAL - 0.35 * lean
     if lean < 0 and FORCE_FIELD.search(field):     # an effort that was measured: it moves things,
         acts, measures = max(acts, 0.5), min(measures, 0.5)    # or only repeats its command
     if STICK.search(name) or kind.endswith(('/Joy', '/ManualControl')):
@@ -146,7 +148,9 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     if _NO_MOTION.match(kind) or _DERIVED_FIELD.search(field):
         measures *= 0.5
     if _NO_MOTION.match(kind) or _HOUSEKEEPING.search(field):
-        acts *= 0.2
+        acts *= 0.5
+    if _BATTERY.search(field):          # it sags with what all commands together draw
+        acts, measures = 0.2 * acts, 0.2 * measures
     return acts, measures
 
 

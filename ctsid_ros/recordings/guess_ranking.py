@@ -22,6 +22,7 @@ from ctsid_ros.recordings.excerpts import Clock
 from ctsid_ros.recordings.guess_candidates import (
     FEWEST,
     FORCE_FIELD,
+    NEUTRAL,
     Candidate,
     Key,
     candidates,
@@ -40,6 +41,7 @@ _MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
 _MOST_PAIRS = 48  # that are looked at closely
 _MOST_COMMANDS = 8  # that may move an output beside its input: one does that leaves less than so
 _LEFT, _TOLD_MORE = 0.7, 0.01  # much of what is left without it, and explains so much more
+_HALF = 0.5  # of a motion, that all commands together explain, or of the changes of one of them
 _LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
 _COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
 _AS_LIKELY = 0.8  # a copy is preferred for its stamps if it is as likely a command, or nearly
@@ -166,35 +168,85 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
 
 
 def further_commands(inputs: Sequence[Candidate], y: Candidate,
-                  ranking: Ranking) -> tuple[list[Candidate], float, float]:
+                     ranking: Ranking) -> tuple[list[Candidate], float, float]:
     """
     Return further commands that move an output, and what inputs explain without and with them.
 
-    Shares of its motion, in unseen data. One command after the other, that which explains most
-    beside those before: from its past clearly more than from its future, and than is explained
-    without it. What is not named like one is one if it is held.
+    Shares of its motion, in unseen data. Of all commands those go, one after the other, whose past
+    explains little beside that of the others, or no more than their future.
     """
-    comparison, taken = Comparison(ranking.clock, [y.smooth]), list(inputs)
+    comparison = Comparison(ranking.clock, [y.smooth])
     if not comparison.possible:
         return [], 0.0, 0.0
-    commands = sorted((c for c in ranking.found if c not in (*inputs, y) and (
-        c.acts, c.stays) > (c.measures, False) and (
-            taken[0].wanted or not (c.wanted or c.set_point))),
-        key=lambda c: -c.acts)[:_MOST_COMMANDS]
-    alike = Alike([*inputs, y, *commands], ranking.clock)
-    without = share = comparison.explained(
-        taken[0].held, [0], [one.held for one in taken[1:]])[0].past
-    while commands:
-        found = {c: comparison.explained(c.held, [0], [one.held for one in taken])[0]
-                 for c in commands if all(alike(c, one) <= _COPY for one in (y, *taken))}
-        best = max(found, key=lambda c: found[c].past, default=None)
-        if best is None or not 1.0 - found[best].past < min(
-                1.0 - share - _TOLD_MORE, _LEFT * (1.0 - max(share, found[best].future))):
+
+    def left(one: Candidate, others: Sequence[Candidate]) -> tuple[float, float]:
+        """Return what is left by all, and with the future of one instead of its past."""
+        found = comparison.explained(one.held, [0], [c.held for c in others])[0]
+        return 1.0 - found.past, 1.0 - found.future
+
+    kept = [c for c in _commands(ranking, inputs) if c is not y and not _told(
+        c, inputs, y, ranking.clock)][:_MOST_COMMANDS]
+    rest = alone = left(inputs[0], inputs[1:])[0]
+    while kept:
+        rest = left(inputs[0], [*inputs[1:], *kept])[0]
+        lost = {}
+        for c in kept:
+            others = [*inputs[1:], *(one for one in kept if one is not c)]
+            without = left(inputs[0], others)[0]
+            lost[c] = max(rest / (_LEFT * without), rest / max(without - _TOLD_MORE, 1e-300))
+        if max(lost.values()) < 1.0:
+            lost = {c: rest / (_LEFT * left(c, [*inputs, *(
+                one for one in kept if one is not c)])[1]) for c in kept}
+        if max(lost.values()) < 1.0:
             break
-        taken.append(best)
-        commands.remove(best)
-        share = found[best].past
-    return taken[len(inputs):], without, share
+        # Of several that tell the same the last one goes.
+        kept.remove(max(reversed(kept), key=lambda c: round(lost[c], 1)))
+        rest = alone
+    return kept, 1.0 - alone, 1.0 - rest
+
+
+def together_moved(ranking: Ranking, named_inputs: Collection[Key] = (),
+                   named_outputs: Collection[Key] = ()) -> list[Pair]:
+    """
+    Return pairs of the outputs that all commands together explain, the most of it first.
+
+    Each with the command that explains most of it alone, where no single one explains enough: of
+    four wheels each tells a quarter of a base's motion.
+    """
+    commands = [c for c in _commands(ranking) if not named_inputs or c.key in named_inputs]
+    outputs = [y for y in ranking.found if y.key in named_outputs] or [
+        y for y in ranking.found if y not in commands and y.measures >= y.acts]
+    commands = [c for c in commands if c not in outputs][:_MOST_COMMANDS]
+    comparison = Comparison(ranking.clock, [y.smooth for y in outputs])
+    if len(commands) < 2 or not outputs or not comparison.possible:
+        return []
+    alone = np.array([comparison.screened(c.held) for c in commands])
+    found = comparison.explained(commands[0].held, range(len(outputs)),
+                                 [c.held for c in commands[1:]])
+    pairs = [Pair(c := commands[int(np.argmax(alone[:, j]))], y, comparison.explained(
+        c.held, [j])[0], ranking.clock, score=one.past * y.measures)
+        for j, (y, one) in enumerate(zip(outputs, found, strict=True)) if one.past >= _HALF]
+    return sorted(pairs, key=lambda p: -p.score)
+
+
+def _commands(ranking: Ranking, inputs: Sequence[Candidate] = ()) -> list[Candidate]:
+    """Return what is named like a command, or held, the likeliest first; beside some inputs."""
+    wanted = inputs and inputs[0].wanted
+    return sorted((c for c in ranking.found if c not in inputs
+                   and (c.acts > NEUTRAL or c.stays and c.acts >= c.measures)
+                   and (wanted or not (c.wanted or c.set_point))), key=lambda c: -c.acts)
+
+
+def _told(c: Candidate, inputs: Sequence[Candidate], y: Candidate, clock: Clock) -> bool:
+    """
+    Whether inputs and an output tell how a signal changes: it is no command of its own.
+
+    It repeats, filters or sums what is there, or a controller makes it, or them, of the other.
+    """
+    changes = np.diff(c.held, prepend=np.nan)
+    found = Comparison(clock, [changes]).explained(
+        inputs[0].held, [0], [*(one.held for one in inputs[1:]), y.held])[0]
+    return found.past >= _HALF
 
 
 class Alike:
