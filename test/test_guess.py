@@ -33,6 +33,7 @@ from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
 from ctsid_ros.recordings.guess import _AT_ONCE, _followed, better, guess, scalars
 from ctsid_ros.recordings.guess_candidates import no_signal
+from ctsid_ros.recordings.guess_named import Named
 from ctsid_ros.recordings.guess_pairs import (
     Comparison,
     begins_before,
@@ -46,9 +47,10 @@ ROOT = Path(__file__).resolve().parent.parent
 TWIST, ODOMETRY = 'geometry_msgs/msg/Twist', 'nav_msgs/msg/Odometry'
 
 
-def guessed(path, pick: int = 1):
+def guessed(path, pick: int = 1, **named):
     with open_bag(path) as bag:
-        return guess(bag, survey(bag), pick)
+        return guess(bag, survey(bag), pick, Named(**{
+            side: tuple(keys) for side, keys in named.items()}))
 
 
 def ranked(path):
@@ -249,6 +251,93 @@ def test_all_commands_are_inputs_where_none_is_named(tmp_path, capsys, named):
     gains = dict(zip(found.model.input_names, found.model.dc_gain[0], strict=True))
     assert found.good
     assert gains == pytest.approx({'port': 1.0, 'starboard': 1.0}, abs=0.03)
+
+
+def jumps(rng, count, channels):
+    """Return levels that each last half a second, at 50 Hz."""
+    return np.repeat(rng.uniform(-1.0, 1.0, (count // 25, channels)), 25, axis=0)
+
+
+def table(path, rng, **columns):
+    """Write a table at 50 Hz; noise of 2 % on what is not held."""
+    rows = [x + 0.02 * np.std(x) * rng.standard_normal(len(x)) * bool(np.diff(x[:20]).any())
+            for x in columns.values()]
+    np.savetxt(path, np.column_stack((0.02 * np.arange(len(rows[0])), *rows)), delimiter=',',
+               comments='', header=','.join(('time', *columns)))
+    return path
+
+
+def chosen(found):
+    """Return the fields of inputs and outputs."""
+    return [sorted(c.field for c in side) for side in (found.config.inputs, found.config.outputs)]
+
+
+@pytest.mark.parametrize('outputs', [(), ('vx',), ('vx', 'wz')])
+def test_four_wheels_that_tell_a_quarter_each_are_found_together(tmp_path, outputs):
+    """One was left, and WEAK; or moved the temperature, and REJECT."""
+    rng = np.random.default_rng(4)
+    w = jumps(rng, 3000, 4)
+    bag = table(tmp_path / 'base.csv', rng, fl=w[:, 0], fr=w[:, 1], rl=w[:, 2], rr=w[:, 3],
+                vx=lagged(w.sum(axis=1), 4.0, 0.02),
+                wz=lagged(w @ [-1.0, 1.0, -1.0, 1.0], 6.0, 0.02),
+                temp=30.0 + np.cumsum(rng.standard_normal(3000)) * 0.01)
+    found = guessed(bag, outputs=[('base', name) for name in outputs])
+    assert chosen(found)[0] == ['fl', 'fr', 'rl', 'rr']
+    assert set(chosen(found)[1]) <= {'vx', 'wz'}
+    assert 'what steps' not in found.reasons[0]
+
+
+def test_outputs_that_are_named_have_the_commands_of_all(tmp_path):
+    rng = np.random.default_rng(5)
+    u = jumps(rng, 3000, 3)
+    bag = table(tmp_path / 'boat.csv', rng, a=u[:, 0], b=u[:, 1], c=u[:, 2],
+                surge=lagged(u[:, 0] + 0.7 * u[:, 1], 2.0, 0.02),
+                yaw=lagged(u[:, 0] - 0.8 * u[:, 2], 3.0, 0.02))
+    found = guessed(bag, outputs=[('boat', 'surge'), ('boat', 'yaw')])
+    assert chosen(found) == [['a', 'b', 'c'], ['surge', 'yaw']]
+    assert sum('all are inputs' in reason for reason in found.reasons) == 2
+
+
+@pytest.mark.parametrize('named', [None, 'velocity_cmd', 'torque_cmd'])
+def test_what_a_controller_makes_of_an_input_is_no_further_one(tmp_path, named):
+    """With both a right model was WEAK: the torque had a gain of 0.009 for 1."""
+    rng, y, total = np.random.default_rng(5), 0.0, 0.0
+    wish, gust = jumps(rng, 3000, 1)[:, 0], 3.0 * lagged(rng.standard_normal(3000), 2.0, 0.02)
+    torque, speed = np.empty(3000), np.empty(3000)
+    for k in range(3000):
+        speed[k] = y + 0.01 * rng.standard_normal()
+        total += 0.04 * (wish[k] - speed[k])
+        torque[k] = 2.0 * (wish[k] - speed[k]) + total
+        y = np.exp(-0.06) * y + (1.0 - np.exp(-0.06)) * (torque[k] + gust[k])
+    np.savetxt(tmp_path / 'run.csv', np.column_stack((
+        0.02 * np.arange(3000), wish, torque, speed)), delimiter=',', comments='',
+        header='time,velocity_cmd,torque_cmd,speed')
+    found = guessed(tmp_path / 'run.csv', outputs=[('run', 'speed')],
+                    inputs=[('run', named)] if named else [])
+    assert len(chosen(found)[0]) == 1
+    assert not any(' too: ' in reason for reason in found.reasons)
+
+
+def test_a_sum_of_commands_is_no_further_one(tmp_path):
+    """The last of those that tell the same goes, and what one of them tells by half before."""
+    rng = np.random.default_rng(6)
+    u = jumps(rng, 3000, 2)
+    bag = table(tmp_path / 'pan.csv', rng, col1=u[:, 0], col2=u[:, 1], col3=u.sum(axis=1),
+                col4=np.append(0.0, u[:-1, 0]), y=lagged(2.0 * u[:, 0] - u[:, 1], 4.0, 0.02))
+    found = guessed(bag, inputs=[('pan', 'col1')], outputs=[('pan', 'y')])
+    assert "--input 'pan col1' --input 'pan col2' --output 'pan y'" in found.reasons[-1]
+
+
+@pytest.mark.parametrize(('names', 'inputs'), [
+    ('supply_voltage,speed', ['supply_voltage']),
+    ('supply_valve_cmd,level', ['supply_valve_cmd']),
+    ('temperature_cmd,room', ['temperature_cmd']),
+    ('heater,motor_temp', ['heater'])])
+def test_what_supplies_or_warms_may_be_an_input(tmp_path, names, inputs):
+    rng, (one, other) = np.random.default_rng(7), names.split(',')
+    u = jumps(rng, 1500, 1)[:, 0]
+    bag = table(tmp_path / 'run.csv', rng, **{one: u, other: lagged(u, 3.0, 0.02)})
+    assert chosen(guessed(bag)) == [inputs, [other]]
 
 
 # What repeats the output, what is measured, and what explains less than a hundredth more.

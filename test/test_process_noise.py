@@ -116,6 +116,23 @@ def test_robots_under_their_controllers_are_predicted_as_by_the_true_filter(
     assert (own < measure * best).all()
 
 
+@pytest.mark.parametrize(('family', 'number', 'share', 'before'), [
+    ('rates-1x1', 0, 0.07, 1), ('rates-1x1', 3, 0.01, 1), ('cart-pole', 1, 0.5, 1),
+    ('cart-pole', 0, 0.24, 0)])
+def test_plants_by_predictions_have_rivals_with_dead_times_to_either_side(
+        family, number, share, before):
+    """One was compared with the model in the end, and may not be likelier than it."""
+    given = experiment(family, 11, number)
+    found = identify(given.record, given.settings)
+    other, *beside = found.covariance.rivals
+    moved = np.array([m.delay[0] for _, m in beside]) - found.model.delay[0]
+    assert other.share == pytest.approx(share, abs=0.01)
+    assert (np.sum(moved < 0.0), np.sum(moved > 0.0)) == (before, 1)
+    assert {s for s, _ in beside} == {0.25 / len(beside)}
+    # Both sides vary it by half of what they are away, beside what the curvature says.
+    assert found.delay_std[0] > 0.5 * np.sqrt(np.mean(moved ** 2))
+
+
 @pytest.mark.slow
 def test_a_sample_is_not_put_before_its_record():
     """In closed loop samples go to the input just before them: that may lie before the start."""
