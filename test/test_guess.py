@@ -277,7 +277,9 @@ def test_four_wheels_that_tell_a_quarter_each_are_found_together(tmp_path, outpu
     """One was left, and WEAK; or moved the temperature, and REJECT."""
     rng = np.random.default_rng(4)
     w = jumps(rng, 3000, 4)
-    bag = table(tmp_path / 'base.csv', rng, fl=w[:, 0], fr=w[:, 1], rl=w[:, 2], rr=w[:, 3],
+    bag = table(tmp_path / 'base.csv', rng, lamp=jumps(rng, 3000, 1)[:, 0], fl=w[:, 0],
+                fr=w[:, 1], rl=w[:, 2], rr=w[:, 3], vbat=12.0 - 0.2 * lagged(
+                    np.abs(w).sum(axis=1), 9.0, 0.02) - 0.2 * w.sum(axis=1),
                 vx=lagged(w.sum(axis=1), 4.0, 0.02),
                 wz=lagged(w @ [-1.0, 1.0, -1.0, 1.0], 6.0, 0.02),
                 temp=30.0 + np.cumsum(rng.standard_normal(3000)) * 0.01)
@@ -326,6 +328,16 @@ def test_a_sum_of_commands_is_no_further_one(tmp_path):
                 col4=np.append(0.0, u[:-1, 0]), y=lagged(2.0 * u[:, 0] - u[:, 1], 4.0, 0.02))
     found = guessed(bag, inputs=[('pan', 'col1')], outputs=[('pan', 'y')])
     assert "--input 'pan col1' --input 'pan col2' --output 'pan y'" in found.reasons[-1]
+
+
+def test_a_temperature_is_what_is_warmed_though_it_is_of_a_motor(tmp_path):
+    """By its name a command, it moved the heater."""
+    rng, gust = np.random.default_rng(8), lagged(np.random.default_rng(9).standard_normal(3000),
+                                                 0.5, 0.02)
+    u = jumps(rng, 3000, 2)
+    bag = table(tmp_path / 'oven.csv', rng, heater=u[:, 0], fan=u[:, 1],
+                motor_temp=lagged(u @ [0.4, -0.3] + 0.5 * gust, 0.5, 0.02))
+    assert chosen(guessed(bag)) == [['fan', 'heater'], ['motor_temp']]
 
 
 @pytest.mark.parametrize(('names', 'inputs'), [

@@ -243,8 +243,7 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     further, beside = _further_commands(inputs, outputs, ranking, chosen)
     by_names = by_names and not further
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
-        *(() if further and math.isnan(pair.explained.past) else (_why(pair),)),
-        *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
+        _why(pair), *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
             pair, pairs, ranking.compared, [*inputs, *further]))]
     reasons += beside
     inputs += further

@@ -172,37 +172,30 @@ def further_commands(inputs: Sequence[Candidate], y: Candidate,
     """
     Return further commands that move an output, and what inputs explain without and with them.
 
-    Shares of its motion, in unseen data. Of all commands those go, one after the other, whose past
-    explains little beside that of the others, or no more than their future.
+    Shares of its motion, in unseen data. Of all commands of their own those go, one after the
+    other, whose past explains little beside that of the others.
     """
     comparison = Comparison(ranking.clock, [y.smooth])
     if not comparison.possible:
         return [], 0.0, 0.0
 
-    def left(one: Candidate, others: Sequence[Candidate]) -> tuple[float, float]:
-        """Return what is left by all, and with the future of one instead of its past."""
-        found = comparison.explained(one.held, [0], [c.held for c in others])[0]
-        return 1.0 - found.past, 1.0 - found.future
+    def left(further: Sequence[Candidate]) -> float:
+        """Return what is left by the inputs and further ones."""
+        beside = [c.held for c in (*inputs[1:], *further)]
+        return 1.0 - comparison.explained(inputs[0].held, [0], beside)[0].past
 
-    kept = [c for c in _commands(ranking, inputs) if c is not y and not _told(
-        c, inputs, y, ranking.clock)][:_MOST_COMMANDS]
-    rest = alone = left(inputs[0], inputs[1:])[0]
+    kept = [c for c in _commands(ranking, inputs)
+            if c is not y and not _told(c, inputs[0], y, ranking.clock)][:_MOST_COMMANDS]
     while kept:
-        rest = left(inputs[0], [*inputs[1:], *kept])[0]
-        lost = {}
+        rest, lost = left(kept), {}
         for c in kept:
-            others = [*inputs[1:], *(one for one in kept if one is not c)]
-            without = left(inputs[0], others)[0]
-            lost[c] = max(rest / (_LEFT * without), rest / max(without - _TOLD_MORE, 1e-300))
-        if max(lost.values()) < 1.0:
-            lost = {c: rest / (_LEFT * left(c, [*inputs, *(
-                one for one in kept if one is not c)])[1]) for c in kept}
+            without = left([one for one in kept if one is not c])
+            lost[c] = rest / max(min(_LEFT * without, without - _TOLD_MORE), 1e-300)
         if max(lost.values()) < 1.0:
             break
         # Of several that tell the same the last one goes.
         kept.remove(max(reversed(kept), key=lambda c: round(lost[c], 1)))
-        rest = alone
-    return kept, 1.0 - alone, 1.0 - rest
+    return kept, 1.0 - left([]), 1.0 - left(kept)
 
 
 def together_moved(ranking: Ranking, named_inputs: Collection[Key] = (),
@@ -218,7 +211,7 @@ def together_moved(ranking: Ranking, named_inputs: Collection[Key] = (),
         y for y in ranking.found if y not in commands and y.measures >= y.acts]
     commands = [c for c in commands if c not in outputs][:_MOST_COMMANDS]
     comparison = Comparison(ranking.clock, [y.smooth for y in outputs])
-    if len(commands) < 2 or not outputs or not comparison.possible:
+    if not commands or not outputs or not comparison.possible:
         return []
     alone = np.array([comparison.screened(c.held) for c in commands])
     found = comparison.explained(commands[0].held, range(len(outputs)),
@@ -237,16 +230,14 @@ def _commands(ranking: Ranking, inputs: Sequence[Candidate] = ()) -> list[Candid
                    and (wanted or not (c.wanted or c.set_point))), key=lambda c: -c.acts)
 
 
-def _told(c: Candidate, inputs: Sequence[Candidate], y: Candidate, clock: Clock) -> bool:
+def _told(c: Candidate, u: Candidate, y: Candidate, clock: Clock) -> bool:
     """
-    Whether inputs and an output tell how a signal changes: it is no command of its own.
+    Whether an input and what an output was tell how a signal changes: it is none of its own.
 
-    It repeats, filters or sums what is there, or a controller makes it, or them, of the other.
+    It repeats, filters or sums these, or a controller makes one of the other.
     """
-    changes = np.diff(c.held, prepend=np.nan)
-    found = Comparison(clock, [changes]).explained(
-        inputs[0].held, [0], [*(one.held for one in inputs[1:]), y.held])[0]
-    return found.past >= _HALF
+    changes, was = np.diff(c.held, prepend=np.nan), np.append(np.nan, y.held[:-1])
+    return Comparison(clock, [changes]).explained(u.held, [0], [was])[0].past >= _HALF
 
 
 class Alike:
