@@ -246,7 +246,8 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
         _why(pair), *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
             pair, pairs, ranking.compared, [*inputs, *further]))]
     reasons += beside
-    inputs += further
+    if further:         # in the order of the recording
+        inputs = [c for c in ranking.found if c in (*inputs, *further)]
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
     config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs, unit))
