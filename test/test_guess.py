@@ -300,6 +300,15 @@ def test_outputs_that_are_named_have_the_commands_of_all(tmp_path):
     assert sum('all are inputs' in reason for reason in found.reasons) == 2
 
 
+def test_what_is_named_an_output_is_no_further_input(tmp_path):
+    rng = np.random.default_rng(5)
+    u = jumps(rng, 3000, 2)
+    bag = table(tmp_path / 'car.csv', rng, a_cmd=u[:, 0], b_cmd=u[:, 1],
+                speed=lagged(u[:, 0] + 0.7 * u[:, 1], 2.0, 0.02))
+    found = guessed(bag, outputs=[('car', 'speed'), ('car', 'b_cmd')])
+    assert chosen(found) == [['a_cmd'], ['speed', 'b_cmd']]
+
+
 @pytest.mark.parametrize('named', [None, 'velocity_cmd', 'torque_cmd'])
 def test_what_a_controller_makes_of_an_input_is_no_further_one(tmp_path, named):
     """With both a right model was WEAK: the torque had a gain of 0.009 for 1."""

@@ -279,6 +279,7 @@ def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
     One that is left out bends what is found of the others: where inputs are to be chosen all are.
     Where they are named, or a set point, it is said how to get one model of all.
     """
+    ranking = replace(ranking, found=tuple(c for c in ranking.found if c not in outputs))
     found, said = list[Candidate](), list[str]()
     for y in outputs:
         others, without, share = further_commands([*inputs, *found], y, ranking)
