@@ -133,12 +133,20 @@ def guess(bag: Bag, survey: Survey, pick: int = 1, named: Named = NOBODY) -> Gue
     BagError
         If fewer than two scalars move in it, or there are not so many pairs.
     """
-    guesses = [_as_named(bag, survey, named)] if named.inputs and named.outputs else \
-        all_guesses(bag, survey, strict=True, named=named)
-    if pick > len(guesses):
-        raise BagError(f'there {"is" if len(guesses) == 1 else "are"} only {len(guesses)} to pick '
+    ranking = rank(bag, survey, named.inputs, named.outputs)
+    if named.inputs and named.outputs:
+        if not ranking.pairs:
+            raise BagError('an input and an output have to be different fields')
+        pairs, count, by_names = ranking.pairs, 1, False
+    else:
+        by_names = not ranking.pairs
+        pairs = _one_each(ranking.pairs or tuple(together_moved(ranking, *named)), named)[
+            :OFFERED] or _by_names(ranking, survey, named)
+        count = len(pairs)
+    if pick > count:
+        raise BagError(f'there {"is" if count == 1 else "are"} only {count} to pick '
                        'from; `ctsid init` without --pick shows them')
-    return _spanning_lags(guesses[pick - 1], survey.duration)
+    return _spanning_lags(_guess(ranking, survey, pairs, pick, by_names, named), survey.duration)
 
 
 def _spanning_lags(guessed: Guess, duration: float) -> Guess:
@@ -152,32 +160,23 @@ def _spanning_lags(guessed: Guess, duration: float) -> Guess:
         config, settings=spanning(config.settings, late, duration)))
 
 
-def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False, named: Named = NOBODY
-                ) -> list[Guess]:
+def offered(bag: Bag, survey: Survey) -> list[tuple[Pair, tuple[Stretch, ...]]]:
     """
-    Return the guesses that are offered for a bag, the best first.
+    Return the pairs that are offered for a bag, the best first, and where their inputs move.
 
     Parameters
     ----------
     bag : Bag
     survey : Survey
         Of this bag.
-    strict : bool, optional
-        Whether names alone may decide, and it is an error if there is nothing to choose from.
-    named : Named, optional
-        The inputs or the outputs that are wanted.
 
     Raises
     ------
     BagError
-        Like `guess`, if it is strict.
+        If the bag cannot be read on.
     """
-    ranking = rank(bag, survey, named.inputs, named.outputs)
-    by_names = strict and not ranking.pairs
-    pairs = _one_each(tuple(together_moved(ranking, *named)) if by_names else ranking.pairs, named)
-    pairs = pairs[:OFFERED] or (_by_names(ranking, survey, named) if by_names else ())
-    return [_guess(ranking, survey, pairs, number, by_names, named)
-            for number in range(1, len(pairs) + 1)]
+    return [(p, together([excited(p.input.held, p.clock, 1 / p.output.rate)]))
+            for p in rank(bag, survey).pairs[:OFFERED]]
 
 
 def _one_each(pairs: tuple[Pair, ...], named: Named) -> tuple[Pair, ...]:
@@ -186,14 +185,6 @@ def _one_each(pairs: tuple[Pair, ...], named: Named) -> tuple[Pair, ...]:
         return pairs
     return tuple({(p.output if named.inputs else p.input): p for p in reversed(pairs)}.values()
                  )[::-1]
-
-
-def _as_named(bag: Bag, survey: Survey, named: Named) -> Guess:
-    """Return the guess of which nothing is left to be chosen but holds, stamps and windows."""
-    ranking = rank(bag, survey, named.inputs, named.outputs)
-    if not ranking.pairs:
-        raise BagError('an input and an output have to be different fields')
-    return _guess(ranking, survey, ranking.pairs, 1, False, named)
 
 
 def better(bag: Bag, config: Config) -> list[Pair]:

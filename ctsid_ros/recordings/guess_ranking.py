@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,8 +185,8 @@ def further_commands(inputs: Sequence[Candidate], y: Candidate,
         beside = [c.held for c in (*inputs[1:], *further)]
         return 1.0 - comparison.explained(inputs[0].held, [0], beside)[0].past
 
-    kept = [c for c in _commands(ranking, inputs)
-            if c is not y and not _told(c, inputs[0], y, ranking.clock)][:_MOST_COMMANDS]
+    kept = list(islice((c for c in _commands(ranking, inputs) if c is not y and not _told(
+        c, inputs[0], y, ranking.clock)), _MOST_COMMANDS))
     while kept:
         rest, lost = left(kept), {}
         for c in kept:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 import shlex
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,9 @@ from ctsid_ros.verbs.arguments import (
 )
 
 if TYPE_CHECKING:
-    from ctsid_ros.recordings.guess import Guess
+    from ctsid_ros.recordings.excited import Stretch
+    from ctsid_ros.recordings.guess_candidates import Key
+    from ctsid_ros.recordings.guess_ranking import Pair
     from ctsid_ros.recordings.survey import Survey, TopicSurvey
     from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
 
@@ -44,21 +46,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def command(args: argparse.Namespace) -> int:
     """Look at the bag and print."""
     from ctsid_ros.recordings.bag import open_bag
-    from ctsid_ros.recordings.guess import all_guesses
+    from ctsid_ros.recordings.guess import offered
     from ctsid_ros.recordings.survey import survey
 
     with open_bag(args.bag, args.time) as bag:
         found = survey(bag)
-        guesses = all_guesses(bag, found)
+        pairs = offered(bag, found)
     if args.json:
-        tell(_document(found, guesses, args.bag))
+        tell(_document(found, pairs, args.bag))
     else:
         sections = _sections if args.all or lines(found) <= PAGE else _brief
-        print(to_text(list(sections(found, guesses, args))))
+        print(to_text(list(sections(found, pairs, args))))
     return ACCEPTED
 
 
-def _document(found: Survey, guesses: Sequence[Guess], bags: list[str]) -> dict[str, Any]:
+def _document(found: Survey, pairs: Sequence[tuple[Pair, Sequence[Stretch]]], bags: list[str]
+              ) -> dict[str, Any]:
     topics = [{'name': t.info.name, 'type': t.info.type, 'count': t.info.count,
                'has_header': t.info.has_header, 'rate': t.rate, 'first': t.first, 'last': t.last,
                'stamp': t.stamp if t.stamps else None, 'late': t.late,
@@ -66,8 +69,8 @@ def _document(found: Survey, guesses: Sequence[Guess], bags: list[str]) -> dict[
                'undecodable': t.undecodable, 'note': t.note} for t in found.topics]
     return {'verb': 'info', 'bag': bags, 'duration': found.duration, 'start_ns': found.start_ns,
             'messages': found.messages, 'covered': found.covered, 'topics': topics,
-            'stretches': [{'input': g.pair.input.key, **asdict(s)} for g in _by_input(guesses)
-                          for s in g.stretches], 'notes': list(found.notes)}
+            'stretches': [{'input': key, **asdict(s)} for key, own in _by_input(pairs).items()
+                          for s in own], 'notes': list(found.notes)}
 
 
 def topic_section(found: Survey, bags: list[str]) -> Section:
@@ -85,34 +88,38 @@ def _title(found: Survey, bags: list[str]) -> str:
         + (f', recorded {begun}' if begun else '')
 
 
-def stretch_section(guesses: Sequence[Guess]) -> Section:
-    """Return where the inputs of some guesses excite the plant."""
-    rows = tuple((' '.join(g.pair.input.key), f'{s.start:.1f}:{s.end:.1f}',
-                  f'{s.end - s.start:.1f}', number(s.power, 2), f'{100 * s.energy:.0f}')
-                 for g in _by_input(guesses) for s in g.stretches)
+def stretch_section(stretches: Mapping[str, Sequence[Stretch]]) -> Section:
+    """Return where some inputs, or several together, excite the plant."""
+    rows = tuple((name, f'{s.start:.1f}:{s.end:.1f}', f'{s.end - s.start:.1f}',
+                  number(s.power, 2), f'{100 * s.energy:.0f}')
+                 for name, own in stretches.items() for s in own)
     return Section('Stretches worth identifying (--interval START:END)', (Table(
         ('input', 'interval [s]', 'length [s]', 'power over quiet', 'energy [%]'), rows,
         ('input',)),) if rows else ())
 
 
-def _by_input(guesses: Sequence[Guess]) -> Iterable[Guess]:
-    """Return one guess for each input."""
-    return {g.pair.input.key: g for g in reversed(guesses)}.values()
+def _by_input(pairs: Sequence[tuple[Pair, Sequence[Stretch]]]) -> dict[Key, Sequence[Stretch]]:
+    """Return the stretches of each input."""
+    return {pair.input.key: own for pair, own in reversed(pairs)}
 
 
-def _brief(found: Survey, guesses: Sequence[Guess], args: argparse.Namespace
-           ) -> Iterable[Section]:
+def _by_name(pairs: Sequence[tuple[Pair, Sequence[Stretch]]]) -> dict[str, Sequence[Stretch]]:
+    return {' '.join(key): own for key, own in _by_input(pairs).items()}
+
+
+def _brief(found: Survey, pairs: Sequence[tuple[Pair, Sequence[Stretch]]],
+           args: argparse.Namespace) -> Iterable[Section]:
     """Yield what matters of a recording with hundreds of fields."""
     from ctsid_ros.recordings.guess_candidates import FEWEST, likely_roles
     from ctsid_ros.report.overview import overview
 
     likely = {t.info.name: max(max(likely_roles(t, f.field)) for f in t.moving)
               for t in found.topics if t.moving and t.info.count >= FEWEST}
-    used = [c.key[0] for g in guesses for c in (g.pair.input, g.pair.output)]
+    used = [c.key[0] for pair, _ in pairs for c in (pair.input, pair.output)]
     yield from overview(found, _title(found, args.bag), used,
                         sorted(likely, key=lambda name: -likely[name]))
     yield Section('', _notes(found))
-    yield stretch_section(guesses)
+    yield stretch_section(_by_name(pairs))
     yield from _end(_torn(found), found, args)
 
 
@@ -129,8 +136,8 @@ def _end(notes: Sequence[str], found: Survey, args: argparse.Namespace) -> Itera
                   if any(t.moving for t in found.topics) else ())
 
 
-def _sections(found: Survey, guesses: Sequence[Guess], args: argparse.Namespace
-              ) -> Iterable[Section]:
+def _sections(found: Survey, pairs: Sequence[tuple[Pair, Sequence[Stretch]]],
+              args: argparse.Namespace) -> Iterable[Section]:
     yield topic_section(found, args.bag)
     stamps = [(t, s) for t in found.topics for s in t.stamps]
     if stamps:
@@ -150,7 +157,7 @@ def _sections(found: Survey, guesses: Sequence[Guess], args: argparse.Namespace
             *([Bullets(tuple(more))] if more else [])))
     else:
         yield Section('No field moves: there is nothing to identify from', ())
-    yield stretch_section(guesses)
+    yield stretch_section(_by_name(pairs))
     still = [f'{t.info.name}: {len(quiet)} more do not move'
              for t in found.topics if (quiet := [f for f in t.fields if not f.moves])]
     yield from _end([*still, *_torn(found)], found, args)

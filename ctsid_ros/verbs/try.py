@@ -70,7 +70,8 @@ def command(args: argparse.Namespace) -> int:
     guessed = replace(guessed, config=with_parameters(guessed.config, args.changes))
     if not args.json:
         print(to_text([topic_section(found, args.bag), pair_section(guessed),
-                       stretch_section([guessed])]) + '\n')
+                       stretch_section({', '.join(f'{c.topic} {c.field}' for c in
+                                        guessed.config.inputs): guessed.stretches})]) + '\n')
     for reason in guessed.reasons:
         say(reason)
     with results_folder(args.out, args.bag, guessed.config.settings.method,
