@@ -225,20 +225,19 @@ def by_names(bag: Bag, keys: Iterable[tuple[str, str]]) -> set[tuple[str, str]]:
 
 
 def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool,
-           named: Named = NOBODY) -> Guess:
+           named: Named) -> Guess:
     pair = pairs[pick - 1]
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
     chosen = not (named.inputs or pair.input.wanted or pair.input.set_point)
     further, beside = _further_commands(inputs, outputs, ranking, chosen)
-    by_names = by_names and not further
+    if further:         # in the order of the recording
+        by_names, inputs = False, [c for c in ranking.found if c in (*inputs, *further)]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
         _why(pair), *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
-            pair, pairs, ranking.compared, [*inputs, *further]))]
+            pair, pairs, ranking.compared, inputs))]
     reasons += beside
-    if further:         # in the order of the recording
-        inputs = [c for c in ranking.found if c in (*inputs, *further)]
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
     config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs, unit))
