@@ -278,8 +278,7 @@ def test_four_wheels_that_tell_a_quarter_each_are_found_together(tmp_path, outpu
     rng = np.random.default_rng(4)
     w = jumps(rng, 3000, 4)
     bag = table(tmp_path / 'base.csv', rng, lamp=jumps(rng, 3000, 1)[:, 0], fl=w[:, 0],
-                fr=w[:, 1], rl=w[:, 2], rr=w[:, 3], vbat=12.0 - 0.2 * lagged(
-                    np.abs(w).sum(axis=1), 9.0, 0.02) - 0.2 * w.sum(axis=1),
+                fr=w[:, 1], rl=w[:, 2], rr=w[:, 3], vbat=12.0 - 0.2 * w.sum(axis=1),
                 vx=lagged(w.sum(axis=1), 4.0, 0.02),
                 wz=lagged(w @ [-1.0, 1.0, -1.0, 1.0], 6.0, 0.02),
                 temp=30.0 + np.cumsum(rng.standard_normal(3000)) * 0.01)
@@ -298,6 +297,35 @@ def test_outputs_that_are_named_have_the_commands_of_all(tmp_path):
     found = guessed(bag, outputs=[('boat', 'surge'), ('boat', 'yaw')])
     assert chosen(found) == [['a', 'b', 'c'], ['surge', 'yaw']]
     assert sum('all are inputs' in reason for reason in found.reasons) == 2
+
+
+def test_beside_a_set_point_commands_are_told_alone(tmp_path):
+    rng = np.random.default_rng(5)
+    u = jumps(rng, 3000, 2)
+    bag = table(tmp_path / 'car.csv', rng, target=u[:, 0], b_cmd=u[:, 1],
+                speed=lagged(u[:, 0] + 0.5 * u[:, 1], 2.0, 0.02))
+    found = guessed(bag)
+    assert chosen(found) == [['target'], ['speed']]
+    assert any('one model of all: ' in reason for reason in found.reasons)
+
+
+def test_an_output_without_noise_tells_no_command_before_it_acts(tmp_path):
+    """What answers within a sample told how the other command changes: it was none of its own."""
+    rng = np.random.default_rng(5)
+    u = jumps(rng, 3000, 2)
+    np.savetxt(tmp_path / 'car.csv', np.column_stack((
+        0.02 * np.arange(3000), u, lfilter([0.06], [1.0, -0.94], u @ [1.0, 0.7]))),
+        delimiter=',', comments='', header='time,a_cmd,b_cmd,speed')
+    assert chosen(guessed(tmp_path / 'car.csv')) == [['a_cmd', 'b_cmd'], ['speed']]
+
+
+def test_a_measured_torque_is_named_like_a_measurement(tmp_path):
+    u = jumps(np.random.default_rng(5), 1500, 1)[:, 0]
+    bag = table(tmp_path / 'arm.csv', np.random.default_rng(6), tau1=u, tau1_meas=lagged(
+        u, 20.0, 0.02), rate=lagged(u, 2.0, 0.02))
+    of = {c.key[1]: c for c in ranked(bag).found}
+    assert of['tau1'].acts == of['tau1'].measures
+    assert of['tau1_meas'].acts < of['tau1_meas'].measures
 
 
 def test_what_is_named_an_output_is_no_further_input(tmp_path):

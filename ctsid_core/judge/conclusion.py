@@ -307,7 +307,7 @@ def _lead(found: Array, part: Usable) -> Array:
 
 
 def _asked_for_leads(sought: tuple[bool, ...], seen: tuple[Excitation, ...],
-                           states: int) -> tuple[bool, ...]:
+                     states: int) -> tuple[bool, ...]:
     """
     Return of which inputs a lead may be looked for.
 

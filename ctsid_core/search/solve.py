@@ -353,8 +353,8 @@ def _other_plants(part: Joint, settings: Settings, samples: Samples, found: Pred
     """
     Return other plants that might be right, of predictors, with their share.
 
-    Those of predictors that were climbed to, too, and of this one with dead times two deviations
-    off, that vary by their shares as much as these.
+    Those of the predictors that it was compared with in the end, and its own with each dead time
+    two deviations off to either side, which their shares make one deviation.
     """
     def plant(fit: Fit) -> ModalModel | None:
         m = plant_of(fit, found.samples, part.last, limit)
@@ -373,7 +373,8 @@ def _other_plants(part: Joint, settings: Settings, samples: Samples, found: Pred
             delay = fit.model.delay.copy()
             delay[j] = max(delay[j] + change, 0.0)
             with suppress(np.linalg.LinAlgError):
-                beside = plant(fit_at(found.samples, fit.model.poles, delay, found.free, fit))
+                beside = plant(fit_at(found.samples, fit.model.poles, delay, found.free, fit,
+                                      slopes=False))
                 rivals += [(0.25 / len(changes), beside)] if beside is not None else []
     return tuple(rivals)
 

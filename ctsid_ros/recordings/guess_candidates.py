@@ -53,9 +53,9 @@ _NO_MOTION = re.compile(
     r'Esc\w*)$')  # what motors say of themselves is not what they move
 STICK = re.compile(r'joy|stick|(^|[/_])rc|manual|teleop', re.IGNORECASE)
 _DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_?point|target|'
-                            r'command|cmd)($|[._\[])|temperature|voltage|current|battery')
+                            r'command|cmd)($|[._\[])|temperature|voltage|current')
 _HOUSEKEEPING = re.compile(r'supply|temperature|(^|[/_.])temp($|[/_.])', re.IGNORECASE)
-_BATTERY = re.compile(r'batt|vbat|vbus|bus_volt', re.IGNORECASE)
+BATTERY = re.compile(r'batt|vbat|vbus|bus_volt', re.IGNORECASE)
 FORCE_FIELD = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
 WANTED = re.compile(
     r'set_?point|desired|target|goal|reference|(^|[/_])(ref|des|sp)($|[/_])', re.IGNORECASE)
@@ -149,7 +149,7 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
         measures *= 0.5
     if _NO_MOTION.match(kind) or _HOUSEKEEPING.search(field):
         acts *= 0.5
-    if _BATTERY.search(field):          # it sags with what all commands together draw
+    if BATTERY.search(field):          # it sags with what all commands together draw
         acts, measures = 0.2 * acts, 0.2 * measures
     return acts, measures
 

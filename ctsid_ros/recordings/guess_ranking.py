@@ -21,6 +21,7 @@ from ctsid_ros.decoding.field_path import plain
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock
 from ctsid_ros.recordings.guess_candidates import (
+    BATTERY,
     FEWEST,
     FORCE_FIELD,
     NEUTRAL,
@@ -187,6 +188,7 @@ def further_commands(inputs: Sequence[Candidate], y: Candidate,
 
     kept = list(islice((c for c in _commands(ranking, inputs) if c is not y and not _told(
         c, inputs[0], y, ranking.clock)), _MOST_COMMANDS))
+    rest = alone = left([])
     while kept:
         rest, lost = left(kept), {}
         for c in kept:
@@ -196,7 +198,7 @@ def further_commands(inputs: Sequence[Candidate], y: Candidate,
             break
         # Of several that tell the same the last one goes.
         kept.remove(max(reversed(kept), key=lambda c: round(lost[c], 1)))
-    return kept, 1.0 - left([]), 1.0 - left(kept)
+    return kept, 1.0 - alone, 1.0 - (rest if kept else alone)
 
 
 def together_moved(ranking: Ranking, named_inputs: Collection[Key] = (),
@@ -226,7 +228,7 @@ def together_moved(ranking: Ranking, named_inputs: Collection[Key] = (),
 def _commands(ranking: Ranking, inputs: Sequence[Candidate] = ()) -> list[Candidate]:
     """Return what is named like a command, or held, the likeliest first; beside some inputs."""
     wanted = inputs and inputs[0].wanted
-    return sorted((c for c in ranking.found if c not in inputs
+    return sorted((c for c in ranking.found if c not in inputs and not BATTERY.search(c.key[1])
                    and (c.acts > NEUTRAL or c.stays and c.acts >= c.measures)
                    and (wanted or not (c.wanted or c.set_point))), key=lambda c: -c.acts)
 

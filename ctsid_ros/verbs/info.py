@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ctsid_ros.recordings.survey import Survey, TopicSurvey
     from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
 
+    Offers = Sequence[tuple[Pair, Sequence[Stretch]]]
+
 HELP = 'show topics, rates, stamps, fields that could be signals, and excited stretches'
 EPILOG = """example: ctsid info flight.mcap
          ctsid info log.ulg --all     (hundreds of fields: more than the one page)"""
@@ -60,8 +62,7 @@ def command(args: argparse.Namespace) -> int:
     return ACCEPTED
 
 
-def _document(found: Survey, pairs: Sequence[tuple[Pair, Sequence[Stretch]]], bags: list[str]
-              ) -> dict[str, Any]:
+def _document(found: Survey, pairs: Offers, bags: list[str]) -> dict[str, Any]:
     topics = [{'name': t.info.name, 'type': t.info.type, 'count': t.info.count,
                'has_header': t.info.has_header, 'rate': t.rate, 'first': t.first, 'last': t.last,
                'stamp': t.stamp if t.stamps else None, 'late': t.late,
@@ -98,17 +99,17 @@ def stretch_section(stretches: Mapping[str, Sequence[Stretch]]) -> Section:
         ('input',)),) if rows else ())
 
 
-def _by_input(pairs: Sequence[tuple[Pair, Sequence[Stretch]]]) -> dict[Key, Sequence[Stretch]]:
+def _by_input(pairs: Offers) -> dict[Key, Sequence[Stretch]]:
     """Return the stretches of each input."""
     return {pair.input.key: own for pair, own in reversed(pairs)}
 
 
-def _by_name(pairs: Sequence[tuple[Pair, Sequence[Stretch]]]) -> dict[str, Sequence[Stretch]]:
+def _by_name(pairs: Offers) -> dict[str, Sequence[Stretch]]:
+    """Return them by topic and field."""
     return {' '.join(key): own for key, own in _by_input(pairs).items()}
 
 
-def _brief(found: Survey, pairs: Sequence[tuple[Pair, Sequence[Stretch]]],
-           args: argparse.Namespace) -> Iterable[Section]:
+def _brief(found: Survey, pairs: Offers, args: argparse.Namespace) -> Iterable[Section]:
     """Yield what matters of a recording with hundreds of fields."""
     from ctsid_ros.recordings.guess_candidates import FEWEST, likely_roles
     from ctsid_ros.report.overview import overview
@@ -136,8 +137,7 @@ def _end(notes: Sequence[str], found: Survey, args: argparse.Namespace) -> Itera
                   if any(t.moving for t in found.topics) else ())
 
 
-def _sections(found: Survey, pairs: Sequence[tuple[Pair, Sequence[Stretch]]],
-              args: argparse.Namespace) -> Iterable[Section]:
+def _sections(found: Survey, pairs: Offers, args: argparse.Namespace) -> Iterable[Section]:
     yield topic_section(found, args.bag)
     stamps = [(t, s) for t in found.topics for s in t.stamps]
     if stamps:
