@@ -133,6 +133,16 @@ def test_plants_by_predictions_have_rivals_with_dead_times_to_either_side(
     assert found.delay_std[0] > 0.5 * np.sqrt(np.mean(moved ** 2))
 
 
+def test_rivals_of_a_plant_that_does_not_grow_do_not_either():
+    """By their predictors alone all eight would, with 0.1 to 0.2 rad/s."""
+    given = experiment('rates-4x3', 125, 1)
+    found = identify(given.record, given.settings)
+    assert found.verdict.grade is Grade.GOOD
+    assert len(found.covariance.rivals) == 8
+    assert max(m.poles.real.max() for _, m in (*found.covariance.rivals, (1.0, found.model))) \
+        < 1e-9
+
+
 @pytest.mark.slow
 def test_a_sample_is_not_put_before_its_record():
     """In closed loop samples go to the input just before them: that may lie before the start."""
