@@ -19,7 +19,7 @@ from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import load_estimate, save_model
 from ctsid_core.model.validation import prediction, simulation
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.settings import METHODS, Settings
 from ctsid_core.signals.record import Record
 from ctsid_ros.cli import main

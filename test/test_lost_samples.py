@@ -4,7 +4,7 @@
 import numpy as np
 
 from ctsid_core import Settings, identify
-from ctsid_core.search.by_prediction import carried_on
+from ctsid_core.search.own_past import carried_on
 from ctsid_ros.studies.robots.families import experiment
 
 

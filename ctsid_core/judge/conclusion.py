@@ -43,15 +43,10 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
-from ctsid_core.search.by_prediction import (
-    AHEAD,
-    HORIZONS,
-    changes_of_plant,
-    held_interval,
-    in_record,
-)
+from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.held_out import HeldOut, held_out
+from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
 from ctsid_core.search.solution import GROWS, Doubt, Solution, at_fastest, own_delays
 from ctsid_core.search.solve import free_of
 from ctsid_core.search.tried import SEARCH

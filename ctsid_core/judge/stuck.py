@@ -22,7 +22,7 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.model.simulation import free_response, respond
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.search.by_prediction import AHEAD
+from ctsid_core.search.own_past import AHEAD
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.record import Record
 from ctsid_core.signals.still import Still, longest_still

@@ -12,8 +12,8 @@ from ctsid_core.likelihood.residuals import coloured_power
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction, simulation
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.search.held_out import allowed
+from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.search.solution import DISTURBED
 from ctsid_core.signals.record import Record
 

@@ -43,7 +43,7 @@ class PoleSteps:
         every = canonical(poles, rank).tolist()
         p = list(dict.fromkeys(every))
         ranks = tuple(every.count(x) for x in p)
-        scale = [max(abs(x), slowest) for x in p]
+        scale = [max(abs(x), slowest, 1e-300) for x in p]
         real = sorted((k for k, x in enumerate(p) if x.imag == 0.0), key=lambda k: p[k].real)
         factors, i = [(k, -1) for k, x in enumerate(p) if x.imag > 0.0], 0
         gaps = [abs(p[b].real - p[a].real) / min(scale[a], scale[b])

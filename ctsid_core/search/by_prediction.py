@@ -38,26 +38,23 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import canonical
-from ctsid_core.likelihood.samples import Samples, slowest
+from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
-from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCHED, affordable, nearest
 from ctsid_core.search.needless import without_needless
+from ctsid_core.search.own_past import HORIZONS, carried_on, held_interval, with_own_past
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.search.tried import LEAST, SEARCH, Tried, parameters, price, tried
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record
 
-HORIZONS = (1, 10, 50)      # samples ahead
-AHEAD = 1                   # place of the one whose fit is reported
 _NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
 _HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
 _FINAL = 2                  # orders that are climbed with all samples
-_JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
@@ -91,7 +88,6 @@ class Compared:
 def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: int,
                         known_delay: Array, last: Compared) -> PredictionFit | None:
     """Return the model that predicts the samples best, or None; orders are compared on `last`."""
-    samples = _before_inputs(samples)
     joint = with_own_past(samples)
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
                   limit=-_FORGETS / samples.length)
@@ -289,59 +285,6 @@ def information(errors: Array, counts: Array, parameters: int = 0) -> float:
         + float(np.log(counts[0].max())) * parameters
 
 
-def _before_inputs(samples: Samples) -> Samples:
-    """
-    Return the samples, those that closely follow an input put to its instant.
-
-    In closed loop an input is computed from the sample before it and tells its noise. Where
-    stamps jitter it may seem to be the earlier one, and would predict it.
-    """
-    near = _JITTER * samples.interval
-
-    def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
-        stamps = np.unique(np.concatenate([s.time for s in inputs]))
-        last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
-        moved = np.maximum(last, start)
-        # Of two samples as near to it only the first one is put there.
-        apart = moved > np.concatenate(([-np.inf], times[:-1]))
-        return np.where((times >= last) & (times - last < near) & apart, moved, times)
-
-    return replace(samples, records=tuple(replace(r, streams=tuple(
-        replace(s, times=earlier(s.times, r.inputs, r.start)) for s in r.streams))
-        for r in samples.records))
-
-
-def with_own_past(samples: Samples) -> Samples:
-    """Return the samples with the outputs, held from each to the next, as further inputs."""
-    records = []
-    for r in samples.records:
-        past = tuple(Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams)
-        records.append(replace(r, inputs=r.inputs + past,
-                               drives=r.drives + tuple(Drive.of(s) for s in past)))
-    return replace(samples, records=tuple(records), nu=samples.nu + samples.ny)
-
-
-def carried_on(times: Array, y: Array) -> tuple[Array, Array]:
-    """
-    Return samples with those that were lost, as far as the two before tell.
-
-    On a straight line for as long as these are apart, held from there, and no further than
-    predictions go: what comes later is what is to be predicted.
-    """
-    gaps = np.diff(times)
-    lost = np.zeros(len(times), dtype=int)
-    lost[1:-1] = np.maximum(np.round(gaps[1:] / np.median(gaps)) - 1, 0) if len(gaps) > 1 else 0
-    if not lost.any():
-        return times, y
-    apart, lost = np.append(gaps, 0.0) / (lost + 1), np.minimum(lost, HORIZONS[-1])
-    last = np.repeat(np.arange(len(times)), lost + 1)
-    step = np.arange(len(last)) - np.repeat(np.cumsum(lost + 1) - lost - 1, lost + 1)
-    after = step * apart[last]
-    before = np.maximum(last - 1, 0)
-    share = np.minimum(after / np.where(last > 0, times[last] - times[before], 1.0), 1.0)
-    return times[last] + after, y[last] + share[:, np.newaxis] * (y[last] - y[before])
-
-
 def is_stable(plant: Matrices) -> bool:
     """Return whether no mode of a plant grows."""
     poles = np.linalg.eigvals(plant.A)
@@ -406,11 +349,6 @@ def _logarithm(transition: Array) -> ComplexArray:
             return np.asarray(logm(transition), dtype=complex)
         except ValueError as error:
             raise np.linalg.LinAlgError(f'a transition has no logarithm: {error}') from error
-
-
-def held_interval(joint: Samples) -> float:
-    """Return the median interval of the slowest output, however thin the samples are [s]."""
-    return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
 def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: bool = False,

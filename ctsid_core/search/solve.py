@@ -29,10 +29,8 @@ from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import MORE, SEARCHED, affordable, search_orders
 from ctsid_core.search.by_prediction import (
-    AHEAD,
     Compared,
     PredictionFit,
-    held_interval,
     in_record,
     information,
     is_stable,
@@ -44,6 +42,7 @@ from ctsid_core.search.corrupt import corrupt_rows, samples_of_part, without_out
 from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.held import other_hold
 from ctsid_core.search.needless import without_needless
+from ctsid_core.search.own_past import AHEAD, held_interval
 from ctsid_core.search.solution import (
     ANY_DELAY,
     ANY_ORDER,

@@ -19,7 +19,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNKNOWN, Agreement
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import GLOSSARY, Bullets, Explorer, Figure, Gallery, Section
 from ctsid_ros.report.drawing import MOST_MODELS, Axes, Curve, Drawing

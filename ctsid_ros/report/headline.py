@@ -11,7 +11,7 @@ import shlex
 
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.verdict import Remedy
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_ros.replay.results import MODEL
 from ctsid_ros.report.document import Command, Headline, Section
 from ctsid_ros.report.tables import Table, fit_words, number

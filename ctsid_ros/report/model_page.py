@@ -14,7 +14,7 @@ from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.signals.samples import GroupCounts

@@ -17,7 +17,7 @@ from ctsid_core.model.gains import gains, grows
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests
 from ctsid_core.model.verdict import Grade
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
 from ctsid_ros.report.responses import (
     frequencies,

@@ -182,7 +182,7 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     """Return models, of which `path` is the first, with what each makes of a bag."""
     from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.model.validation import prediction, simulation
-    from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+    from ctsid_core.search.own_past import AHEAD, HORIZONS
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.report.outputs import Part
     from ctsid_ros.verbs.simulate import check_dead_times

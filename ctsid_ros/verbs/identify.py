@@ -393,7 +393,7 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
 
 def _ahead(estimate: Estimate) -> str:
     """Return how far ahead the predictions are that the fits of a model are of, if they are."""
-    from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+    from ctsid_core.search.own_past import AHEAD, HORIZONS
 
     return f'predicted {HORIZONS[AHEAD]} samples ahead' if estimate.by_predictions else ''
 

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Samples as predictors see them: with the outputs' own past among the inputs.
+
+A predictor goes from sample to sample, and so does its time: stamps that jitter around even ones
+are put there, and inputs with them, so that what comes before what stays as it is. On its way a
+predictor forgets as much in a long interval as in a short one; with stamps as they are it would
+forget more, and what it forgets would be taken for the plant's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from ctsid_core.likelihood.samples import RecordSamples, Samples, slowest
+from ctsid_core.linear.types import Array
+from ctsid_core.model.modal import Drive
+from ctsid_core.signals.record import Signal
+
+HORIZONS = (1, 10, 50)      # samples ahead that predictions go
+AHEAD = 1                   # place of the one whose fit is reported
+_JITTER = 0.1               # of a sample interval: of stamps that are of one instant
+_FEW = 5                    # samples before and after a gap, that tell what is missing in it
+
+
+def with_own_past(samples: Samples) -> Samples:
+    """Return the samples with the outputs, held from each to the next, as further inputs."""
+    records = []
+    for r in _before_inputs(samples).records:
+        r = _even(r)
+        past = tuple(Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams)
+        records.append(replace(r, inputs=r.inputs + past,
+                               drives=r.drives + tuple(Drive.of(s) for s in past)))
+    return replace(samples, records=tuple(records), nu=samples.nu + samples.ny)
+
+
+def held_interval(joint: Samples) -> float:
+    """Return the median interval of the slowest output, however thin the samples are [s]."""
+    return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
+
+
+def carried_on(times: Array, y: Array) -> tuple[Array, Array]:
+    """
+    Return samples with those that were lost, as far as the two before tell.
+
+    On a straight line for as long as these are apart, held from there, and no further than
+    predictions go: what comes later is what is to be predicted.
+    """
+    lost = _lost_after(times)
+    lost[:1] = 0
+    if not lost.any():
+        return times, y
+    gaps = np.diff(times)
+    apart, lost = np.append(gaps, 0.0) / (lost + 1), np.minimum(lost, HORIZONS[-1])
+    last = np.repeat(np.arange(len(times)), lost + 1)
+    step = np.arange(len(last)) - np.repeat(np.cumsum(lost + 1) - lost - 1, lost + 1)
+    after = step * apart[last]
+    before = np.maximum(last - 1, 0)
+    share = np.minimum(after / np.where(last > 0, times[last] - times[before], 1.0), 1.0)
+    return times[last] + after, y[last] + share[:, np.newaxis] * (y[last] - y[before])
+
+
+def _lost_after(times: Array) -> NDArray[np.intp]:
+    """
+    Return how many samples were lost after each.
+
+    As many as are missing between those before and those after: one that is late itself is not.
+    """
+    lost = np.zeros(len(times), dtype=np.intp)
+    if len(times) > 1:
+        gaps = np.diff(times) / np.median(np.diff(times))
+        ahead = np.pad(np.cumsum(gaps - 1.0), (_FEW, _FEW - 1), mode='edge')
+        ahead[:_FEW] = 0.0
+        usual = np.median(sliding_window_view(ahead, _FEW), axis=1)
+        missing = np.round(np.minimum(gaps - 1.0, usual[_FEW:] - usual[:-_FEW]))
+        lost[:-1] = np.maximum(missing, 0.0)
+    return lost
+
+
+def _before_inputs(samples: Samples) -> Samples:
+    """
+    Return the samples, those that closely follow an input put to its instant.
+
+    In closed loop an input is computed from the sample before it and tells its noise. Where
+    stamps jitter it may seem to be the earlier one, and would predict it.
+    """
+    near = _JITTER * samples.interval
+
+    def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
+        stamps = np.unique(np.concatenate([s.time for s in inputs]))
+        last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
+        moved = np.maximum(last, start)
+        # Of two samples as near to it only the first one is put there.
+        apart = moved > np.concatenate(([-np.inf], times[:-1]))
+        return np.where((times >= last) & (times - last < near) & apart, moved, times)
+
+    return replace(samples, records=tuple(replace(r, streams=tuple(
+        replace(s, times=earlier(s.times, r.inputs, r.start)) for s in r.streams))
+        for r in samples.records))
+
+
+def _even(record: RecordSamples) -> RecordSamples:
+    """Return a record in the time of its slowest output's samples, those of others evened, too."""
+    times = max(record.streams, key=lambda s: (s.period < np.inf, s.period)).times
+    if len(times) < 2:
+        return record
+    moved = partial(_moved, times=times, to=_evened(times))
+    inputs = tuple(replace(s, time=moved(s.time)) for s in record.inputs)
+    start, end = moved(np.array([record.start, record.end])).tolist()
+    stamps = np.unique(np.concatenate([s.time for s in inputs]))
+    return replace(record, inputs=inputs, drives=tuple(Drive.of(s) for s in inputs),
+                   start=start, end=end, streams=tuple(replace(s, times=_between(
+                       stamps, moved(s.times), _evened(s.times))) for s in record.streams))
+
+
+def _between(stamps: Array, times: Array, even: Array) -> Array:
+    """Return times that are as even as can be without going past a stamp of an input."""
+    ends, place = np.pad(stamps, 1, constant_values=(-1e300, 1e300)), np.searchsorted(
+        stamps, times, side='right')
+    low, high = ends[place], ends[place + 1]
+    return np.clip(even, low + _JITTER * (times - low), high - _JITTER * (high - times))
+
+
+def _moved(stamps: Array, times: Array, to: Array) -> Array:
+    """Return stamps where those between samples go, as these go from their times to others."""
+    beyond = stamps - np.clip(stamps, times[0], times[-1])
+    return np.asarray(np.interp(stamps, times, to) + beyond)
+
+
+def _evened(times: Array) -> Array:
+    """
+    Return stamps as even as they are over the samples that predictions go ahead.
+
+    The mean of as many on both sides, as if none was lost in between; samples that are further
+    apart are apart.
+    """
+    lost, found = _lost_after(times), times.copy()
+    for rows in np.split(np.arange(len(times)), np.flatnonzero(lost > HORIZONS[-1]) + 1):
+        place = np.cumsum(lost[rows] + 1) - lost[rows] - 1
+        every = np.interp(np.arange(place[-1] + 1), place, times[rows])
+        reach = min(HORIZONS[-1], len(every) - 1)
+        around = np.pad(every - every[0], reach, mode='reflect', reflect_type='odd')
+        mean = np.convolve(around, np.full(2 * reach + 1, 1.0 / (2 * reach + 1)), 'valid')
+        found[rows] = every[0] + mean[place]
+    return found
