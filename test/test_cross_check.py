@@ -14,11 +14,11 @@ import pytest
 from ctsid_core import Record, Settings, StateSpace, identify
 from ctsid_core.errors import SettingsError, StorageError
 from ctsid_core.judge.cross_check import agreement, cross_checked
-from ctsid_core.judge.rules import KNOWN, UNTESTED, in_sequence, weakened
+from ctsid_core.judge.rules import KNOWN, in_sequence, weakened
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.model_json import from_json, to_json
-from ctsid_core.model.verdict import Agreement, Excitation, Grade, Verdict
+from ctsid_core.model.verdict import Agreement, Excitation, Grade, Remedy, Verdict
 from ctsid_core.subspace.methods import METHODS
 from ctsid_ros.report.document import to_text
 from ctsid_ros.report.sections import model_section
@@ -287,7 +287,8 @@ def test_a_verdict_never_gets_better():
 
 
 def test_models_that_were_foretold_do_not_outvote_the_second_method():
-    untested = first_order(1.0, verdict=replace(GOOD, grade=Grade.WEAK, reason=UNTESTED))
+    untested = first_order(1.0, verdict=replace(
+        GOOD, grade=Grade.WEAK, reason='Not tested.', remedy=Remedy.TEST))
     fit, ratio = np.array([95.0]), np.array([1.0])
     for factor, grade in ((1.0, Grade.GOOD), (2.0, Grade.WEAK)):
         found = in_sequence(checked(untested, first_order(factor)), fit, ratio, 0.1, (1,))

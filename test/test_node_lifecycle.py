@@ -20,6 +20,9 @@ def live(tmp_path):
 def test_the_node_is_led_through_its_states(live):
     node = live.identifier(params('autostart: false\ningest.timeout: 60.0'))
     assert node.state() == 'unconfigured'
+    said = node.wait_health('ingest', lambda h: 'not configured' in h.message, 'that it waits')
+    assert said.level == Level.STALE
+    assert 'correct' not in said.message
     assert not node.change_state('activate')
     assert 'not possible now' in node.log
     assert node.change_state('configure')
@@ -30,6 +33,8 @@ def test_the_node_is_led_through_its_states(live):
     assert not node.trigger('reset')[0]
     assert not node.trigger('save')[0]
     assert node.change_state('activate')
+    said = node.wait_health('ingest', lambda h: 'no message has come' in h.message, 'the same')
+    assert said.level == Level.STALE
     Robot(live, motion(4.5), node.name).feed(node)
     assert node.change_state('deactivate')
     count = len(node.wait_models(1))

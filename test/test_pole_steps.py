@@ -11,6 +11,13 @@ def states(poles) -> int:
     return len(poles) + int(np.sum(poles.imag > 0.0))
 
 
+def test_a_pole_at_zero_is_far_from_others():
+    """A plant found by predictions has one where it is put on the axis."""
+    for poles in ([0.0, -1.0], [0.0, -1.0, -1.1], [0.0, -1e-9]):
+        steps = PoleSteps.of(np.array(poles, dtype=complex), 0.0)
+        assert (0, -1) in steps.factors
+
+
 def test_a_pair_beside_a_real_pole_stays_a_pair():
     """Three real poles at the fastest that is allowed: two of them became a pair, and that one."""
     found = canonical(np.array([-175.76, -175.76 + 1e-9j, -3.0]))

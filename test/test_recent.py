@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the last seconds have added to the counts."""
 
+import numpy as np
+
 from ctsid_core.signals.samples import GroupCounts
 from ctsid_ros.ingest.counts import ChannelCounts, IngestCounts
 from ctsid_ros.ingest.recent import Recent, Totals
@@ -29,6 +31,14 @@ def test_what_is_older_than_the_time_does_not_count():
     assert [f.lost['/u'] for f in found] == [0, 1, 2, 2, 1, 0, 0, 0]
     assert [one.worst_late for one in own] == [0.0, -1.0, -2.0, -2.0, -2.0, 0.0, 0.0, 0.0]
     assert own[-1].accepted == 30
+
+
+def test_looks_that_come_a_little_early_or_late_count_the_same_time():
+    recent, rng, found = Recent(10.0), np.random.default_rng(0), []
+    for second in range(40):
+        at = second + rng.uniform(-0.02, 0.02)
+        found.append(recent.added(round(at * S), totals(accepted=round(50 * at + 10))))
+    assert all(abs(f.counts.channels['u'].samples.accepted - 500) <= 3 for f in found[12:])
 
 
 def test_counts_that_begin_anew_are_all_new():

@@ -473,7 +473,7 @@ def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises, monk
     monkeypatch.setattr(conclusion, 'judge', lambda e: seen.append(e) or judge(e))
     found = identify(records, Settings(feedthrough=False))
     # Orders are compared by the errors one sample ahead of all samples, however short a record is
-    assert np.min(np.abs(np.concatenate(ahead) / seen[0].learnt - 1.0)) < 1e-3
+    assert np.min(np.abs(np.concatenate(ahead) / seen[0].fitted - 1.0)) < 1e-3
     model = found.model or found.rejected_model
     assert np.max(model.poles.real) == pytest.approx(0.5, abs=0.05)
     assert found.status is Status.OK

@@ -32,7 +32,8 @@ BAD = np.array([np.nan, 0.9, 0.9])
 # Everything that may be wrong with a model of two inputs and three outputs.
 WORST = Evidence(
     input_names=('a', 'b'), output_names=('x', 'y', 'z'), fixed_inputs=(0,), fixed_outputs=(0,),
-    stuck=(Stuck(1, 2.0, 9.0),), expected=np.full(3, np.nan), driven=np.zeros(3),
+    stuck=(Stuck(1, 2.0, 9.0),), expected=np.full(3, np.nan),
+    fitted=np.array([np.nan, 0.1, np.inf]), driven=np.zeros(3),
     distance_to_controller=np.array([1.0, 0.1]), lead=np.zeros(2), apart=np.zeros(2),
     poles=np.array([-1.0 + 0.0j, np.nan]), change=Change(cost=50.0), where='about 3 s', worst='',
     numbers=replace(UNJUDGED, error=np.array([np.nan, 0.1, np.inf]), coloured_error=BAD,

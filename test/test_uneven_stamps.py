@@ -13,7 +13,7 @@ from ctsid_ros.studies.robots.inputs import drive
 from ctsid_ros.studies.robots.linear import Held, Linear
 
 POLE = 4.0 * np.exp(0.6j * np.pi)
-PLANTS = (Linear.of_roots(1.0, (POLE, POLE.conjugate()), 0.04), Linear.of_roots(1.0, (-4.0,), 0.04))
+PLANTS = tuple(Linear.of_roots(1.0, poles, 0.04) for poles in ((POLE, POLE.conjugate()), (-4.0,)))
 OMEGA = np.array([1.0, 2.0, 4.0, 8.0])
 
 

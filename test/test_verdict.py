@@ -29,9 +29,10 @@ from verdict_cases import curved, distance, excited, nothing, steps
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.errors import DataError
 from ctsid_core.judge.changed import Change
+from ctsid_core.judge.drift import Drift
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.motion import motion_ahead, motion_within
-from ctsid_core.judge.rules import judge
+from ctsid_core.judge.rules import change_note, judge
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.estimate import Estimate
@@ -41,6 +42,7 @@ from ctsid_core.model.verdict import UNJUDGED, Excitation, Remedy, Verdict
 from ctsid_core.search.solve import _doubt
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_ros.studies.robots import families as robots
+from ctsid_ros.studies.robots.linear import Held, Linear
 
 
 def judged(record: Record, settings: Settings | None = None) -> Verdict:
@@ -781,11 +783,39 @@ def evidence(error: np.ndarray, names=('u1',), **more) -> Evidence:
     own = {k: more.pop(k) for k in ('change', 'where', 'worst', 'doubt') if k in more}
     return Evidence(**{
         'input_names': names, 'output_names': ('y1',), 'fixed_inputs': (), 'fixed_outputs': (),
-        'stuck': (), 'expected': 0.0 * error, 'driven': error,
+        'stuck': (), 'expected': 0.0 * error, 'fitted': error, 'driven': error,
         'distance_to_controller': np.ones(len(names)), 'lead': np.zeros(len(names)),
         'apart': np.zeros(len(names)), 'poles': np.array([-1.0 + 0j]), 'change': Change(),
         'where': '', 'worst': '', 'numbers': replace(
             UNJUDGED, error=error, coloured_error=error, held_out_error=error, **more), **own})
+
+
+@pytest.mark.parametrize(('damping', 'late', 'order', 'told'), [
+    (0.1, 0.3, 2, True), (0.7, 0.0, 1, False), *slow((0.4, 0.4, 2, True), (0.4, 0.2, 1, True))])
+def test_wrong_dead_times_are_told_where_the_order_is_doubted_too(damping, late, order, told):
+    """States stand in for a dead time, and it for them: it is asked of models of any order."""
+    rng = np.random.default_rng([3, order])
+    p = 5.0 * complex(-damping, np.sqrt(1.0 - damping ** 2))
+    t_u, t = np.arange(-2.0, 20.0, 0.02), np.arange(0.005, 20.0, 0.01)
+    u = np.repeat(rng.standard_normal((len(t_u) // 20 + 1, 1)), 20, axis=0)[:len(t_u)]
+    y = Linear.of_roots(1.0, (p, p.conjugate()), late).move(Held(t_u, u), t)
+    y += 0.02 * y.std() * rng.standard_normal(y.shape)
+    record = Record.from_arrays(t_u, u, t, y, input_hold='zoh').between(0.0, 20.0)
+    found = identify(record, Settings(order=order, delay=0.0))
+    assert ('explain more than those that are given' in found.verdict.reason) is told
+    assert not (told and found.good)
+    if not told:
+        assert any('more states than the 1 that are given' in note for note in found.notes)
+
+
+def test_a_large_drift_is_a_note_where_it_is_not_the_reason():
+    one = np.array([0.05])
+    drifts = replace(evidence(one), drift=Drift(cost=40.0, moved=40.0))
+    mixed = replace(drifts, faults=('Samples are mixed.',))
+    for found, reason, notes in ((drifts, 'The plant drifts', 0), (mixed, 'Samples are', 1)):
+        verdict = judge(found)[1]
+        assert verdict.reason.startswith(reason)
+        assert len(change_note(found, verdict.reason)) == notes
 
 
 @pytest.mark.parametrize('names', [('u1',), ('u1', 'u2')])

@@ -62,11 +62,14 @@ def test_a_picture_has_numbers_for_people():
         0.0)
     watched.model(GOOD, told(-1 + 3j, window=3) | {'modes': (4, 5)})
     console = rich.Console(width=120, record=True, file=io.StringIO())
-    console.print(picture(watched, 0.0))
+    console.print(picture(watched, 0.0, 1e-9 * GOOD.end_ns + 7.2))
     text = console.export_text()
     assert re.search(r'/imu +200\.0 +412 +0 +0\.02\n', re.sub(' +\n', '\n', text))
     assert '0.14 s of 1.60 s   published 0.20 s after' in text
     assert 'window 4 under way for 0.06 s' in text
+    assert 'window 3, which ended 7 s ago' in text
+    console.print(picture(watched, 0.0, 1.7e9))     # of another clock
+    assert 's ago' not in console.export_text()
     assert re.search(r'mode +pole \[rad/s\].*\n.*\n *4, 5 +-1\.000 ± 3\.000j', text)
     assert 'age [s]' in text            # no markup
 

@@ -19,6 +19,7 @@ from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import (
+    NONE,
     UNCORRELATED,
     change_note,
     few_sines,
@@ -47,7 +48,14 @@ from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
-from ctsid_core.search.solution import GROWS, Doubt, Solution, at_fastest, own_delays
+from ctsid_core.search.solution import (
+    GROWS,
+    NEARLY,
+    Doubt,
+    Solution,
+    at_fastest,
+    own_delays,
+)
 from ctsid_core.search.solve import free_of
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
@@ -113,13 +121,27 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt,
-               *(change_note(evidence) if accepted else ()),
+               *(change_note(evidence, verdict.reason) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
-                   None, (evidence.wrapped, solution.doubt)) if setting not in verdict.reason),
+                   None, (evidence.wrapped, evidence.doubt)) if setting not in verdict.reason),
                *((evidence.spent,) if evidence.spent not in verdict.reason else ())),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
                     'drift_cost': drift.cost},
         records=_shares(solution) if part.several else ())
+
+
+def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:
+    """
+    Return that a dead time is about as long as any that is looked for, and its setting.
+
+    Not of an input that no output may follow: there any dead time is as likely.
+    """
+    longest = solution.free.longest
+    return next(((f'the dead time of input {one.name} is near the longest that is looked for, '
+                  f'{longest:.3g} s, and states may stand in for more', 'delay')
+                 for one, free, delay in zip(seen, solution.free.delays, solution.delay.tolist(),
+                                             strict=False)
+                 if free and delay > NEARLY * longest and one.uncertainty < NONE), None)
 
 
 def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
@@ -253,14 +275,15 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         stuck=stuck_outputs(solution, moving),
         expected=everywhere(unseen.expected), untested=unseen.why,
         spent=_spent(solution.samples.effort),
-        fitted=everywhere(fitted) if solution.by_prediction else None, driven=everywhere(
+        fitted=everywhere(fitted), driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         unheld=_unheld(solution, moving),
         fastest=not solution.by_prediction and at_fastest(solution.fit, solution.free),
-        doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
+        doubt=_too_late(solution, seen[0]) or solution.doubt, wrapped=_wrapped(part),
+        distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'

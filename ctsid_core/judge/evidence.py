@@ -25,6 +25,7 @@ class Evidence:
     # (ny,): the part of the error on what was held out that the uncertainty of the rest's model
     # lets expect, over the motion
     expected: Array
+    fitted: Array                   # (ny,): what the error on that is compared with
     driven: Array                   # (ny,): rms of what inputs explain, over the motion, or 0
     distance_to_controller: Array   # (nu,): see `ctsid_core.judge.feedback`
     lead: Array                     # (nu,): see `ctsid_core.judge.lead` [s]
@@ -46,9 +47,3 @@ class Evidence:
     doubt: Doubt | None = None      # what it looks like if a setting is not right
     wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it
     faults: tuple[str, ...] = ()    # of the samples, see `Record`
-    fitted: Array | None = None     # (ny,): error one sample ahead, if found by its predictions
-
-    @property
-    def learnt(self) -> Array:
-        """What the error on what was held out is compared with, (ny,)."""
-        return self.numbers.error if self.fitted is None else self.fitted

@@ -38,6 +38,7 @@ from ctsid_core.signals.instants import after_start
 from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
+NONE = 0.5              # the same, from which on it may be none: it is within two of them
 _SURELY = 1.25          # times the motion that makes a response known: with less noise there may
                         # be more states
 UNCORRELATED = 0.1      # part of an input's power that other inputs do not explain
@@ -61,7 +62,6 @@ _GUESSED = (Remedy.EXCITE, Remedy.SIGNALS)
 _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
 _BY_LOG = 'in a bag: set `stamp: log` for all channels'
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
-UNTESTED = 'The model has not been tested on held-out data: '
 
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
@@ -106,7 +106,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             f'{idle or "check that these are the right signals"}.')
     # What follows nothing goes by itself.
     follows = (e.numbers.held_out_error < _DRIVEN * e.driven) & ~unsure(
-        e.expected, e.learnt)
+        e.expected, e.fitted)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows).tolist():
         idle = _idle(e, k)
         yield Status.UNEXPLAINED, Remedy.EXCITE if idle else Remedy.SIGNALS, (
@@ -157,14 +157,14 @@ def _drift(e: Evidence) -> str:
             f'model is of the mean: take shorter windows for what it is now{cure}')
 
 
-def change_note(e: Evidence) -> tuple[str, ...]:
-    """Return sentences on a change of the plant that is small, and on a drift, if any."""
+def change_note(e: Evidence, reason: str) -> tuple[str, ...]:
+    """Return sentences on a small change of the plant and a drift, if not the reason is one."""
     notes = []
-    if NOTED < e.change.cost <= _CHANGED:
+    if e.change.cost > NOTED:
         notes.append(f'perhaps the plant changed a little {e.where}: there one model misses '
                      f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} '
                      'is accepted)')
-    if e.drift.cost > NOTED and e.drift.moved <= _DRIFTED:
+    if e.drift.cost > NOTED and _drift(e)[1:] not in reason:
         notes.append(f'perhaps {_drift(e)}')
     return tuple(notes)
 
@@ -230,9 +230,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             'and of the outputs raise the fit within a tenth of the window by '
             f'{e.numbers.curve_gain[i]:.1f} %, so something saturates, sticks, strikes or is '
             'clipped; take a part of the data in which it moves less (more, if it sticks).')
-    moving = [both for j, both in enumerate(zip(e.numbers.excitation, e.apart, strict=False))
-              if j not in e.fixed_inputs]
-    for one, _ in moving:
+    for one in e.numbers.excitation:
         if few_sines(one, len(e.poles)):
             count = min(round(one.frequencies), len(e.poles), _SINES)
             yield Remedy.EXCITE, (
@@ -244,8 +242,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
                 f'Nearly all of the response to input {one.name} is at '
                 f'{one.low / (2.0 * np.pi):.2g} Hz, which fits many models; excite more '
                 'frequencies (a sweep, steps, noise).')
-    for one, apart in sorted(moving, key=lambda both: np.nan_to_num(
-            both[0].uncertainty, nan=np.inf), reverse=True):
+    for one, apart in sorted(zip(e.numbers.excitation, e.apart, strict=False), key=lambda both:
+                             np.nan_to_num(both[0].uncertainty, nan=np.inf), reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = f'move it independently of the other inputs ({_shared(one)})'
             remedy, cure = (Remedy.EXCITE, alone) if one.own < UNCORRELATED else (
@@ -265,16 +263,17 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]):
         yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'
     unseen = e.numbers.held_out_error
-    for i in _largest_first(unseen / allowed(e.learnt), 1.0):
+    for i in _largest_first(unseen / allowed(e.fitted), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
-            f'{_percent(e.learnt[i])}; take a longer window.')
+            f'{_percent(e.fitted[i])}; take a longer window.')
     if e.spent:
         yield Remedy.SETTING, f'Not all is tested: {e.spent}.'
     # Last: new data lift this, and must not lift anything beside it (`in_sequence`).
     if not np.isfinite(e.expected).any():
-        yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
+        yield Remedy.TEST, (f'The model has not been tested on held-out data: {e.untested}; '
+                            'test it on data that it has not seen.')
 
 
 def few_sines(one: Excitation, states: int) -> bool:
@@ -289,8 +288,7 @@ def _more(deviation: float, *, alone: bool) -> str:
     if times < 10.0:
         cure = f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
             f'window {np.ceil(10.0 * times ** 2) / 10.0:.3g} times as long)'
-    # Within two deviations there may be no response at all.
-    return cure if alone or deviation < 0.5 else \
+    return cure if alone or deviation < NONE else \
         f'if no output follows it, leave it out of `inputs`, else {cure}'
 
 
@@ -325,14 +323,13 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
 
 
 def _summary(e: Evidence) -> str:
-    deviation = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
-                 if j not in e.fixed_inputs)
+    deviation = max(x.uncertainty for x in e.numbers.excitation)
     held = np.nanmax(e.numbers.held_out_error, initial=-np.inf)
     ahead = ', 1 sample ahead,' if e.by_prediction else ''
     unseen = f'and the part held out{ahead} to {100 * (1 - float(held)):.1f} % ' \
         if held >= 0.0 else ''
     untested = '' if unseen else \
-        ' Nothing was held out to test it: a test there could tell nothing.'
+        ' On the part held out a test could tell nothing.'
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
             f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
@@ -455,7 +452,8 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         return replace(estimate, verdict=verdict)
     reasons = [*_silences(silent), *_collapses(model.output_names, fresh_fit, fresh_ratio),
                *_moves(model.n, before, moved, fresh_ratio)]
-    if verdict.reason.startswith(UNTESTED) and (reasons or _well(fresh_fit, fresh_ratio)):
+    untested = verdict.grade is Grade.WEAK and verdict.remedy is Remedy.TEST
+    if untested and (reasons or _well(fresh_fit, fresh_ratio)):
         verdict = weakened(replace(
             verdict, grade=Grade.GOOD, remedy=Remedy.TEST, reason='Every test is passed; the '
             'previous model simulates the new data of this window well'

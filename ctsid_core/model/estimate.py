@@ -37,7 +37,8 @@ class Status(Enum):
                'both would be wrong; identify each side of the change by itself.')
 
 
-REMEDIES = {Status.TOO_SHORT: Remedy.LONGER, Status.CHANGED: Remedy.SPLIT}    # else the signals
+REMEDIES = {Status.TOO_SHORT: Remedy.LONGER, Status.CHANGED: Remedy.SPLIT,
+            Status.NO_EXCITATION: Remedy.PART}                                # else the signals
 
 
 @dataclass(frozen=True)

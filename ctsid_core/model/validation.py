@@ -74,7 +74,7 @@ def _compared(y: ArrayLike, y_hat: ArrayLike, sizes: Callable[[Array, Array], tu
     for i, known in enumerate(~(np.isnan(a) | np.isnan(b)).T):
         with np.errstate(over='ignore'):  # a diverged simulation
             error, motion = sizes(a[known, i], b[known, i]) if known.sum() > 1 else (0.0, 0.0)
-        if motion > 0:
+        if motion > 0 and np.ptp(a[known, i]) > 0:     # a mean is rounded
             found[i] = 100 * (1 - error / motion)
     return found
 

@@ -26,6 +26,7 @@ from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.matrix_functions import SOUND
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.by_prediction import plant_of
+from ctsid_core.signals.gaps import GAP_PERIODS
 
 _PARTS = 3            # of each record are held out
 _SEARCHED = 2000      # samples of a stream that are looked at
@@ -33,7 +34,6 @@ _MORE = 3.0           # times its own error, that a model may err on data held o
 _LEAST = 0.05         # ... or this part of the motion; no test if ...
 _EXPECTED = 2.0       # ... so many deviations that the rest of the data leaves are more
 _NO_MODEL = 'the rest of them alone gives no such model'
-_GAP = 5.0            # sample intervals, from which on samples are not neighbours
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,8 @@ def _motion(samples: Samples, fit: Fit) -> Array:
             for e, rest, s in zip(errors, left, record.streams, strict=True):
                 moves = np.diff(rest - e, axis=0)
                 # Not over what is left out between parts.
-                squares[s.channels] += np.sum(moves[np.diff(s.times) < _GAP * s.period] ** 2,
-                                              axis=0)
+                near = np.diff(s.times) < GAP_PERIODS * s.period
+                squares[s.channels] += np.sum(moves[near] ** 2, axis=0)
     return found
 
 

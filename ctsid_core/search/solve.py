@@ -48,7 +48,6 @@ from ctsid_core.search.solution import (
     ANY_ORDER,
     DISTURBED,
     GROWS,
-    NEARLY,
     OTHER_HOLD,
     Doubt,
     Solution,
@@ -95,9 +94,7 @@ Seen = Callable[..., Samples]           # the samples, outputs left out for so l
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """Return the model of records, or None if they are too short for any."""
     found = _solve(part, settings, effort)
-    if found is None or found.doubt and found.doubt[1] in ('delay', ANY_ORDER):
-        return found
-    return replace(found, doubt=_other_delays(found, settings, effort) or found.doubt)
+    return found and replace(found, doubt=_other_delays(found, settings, effort) or found.doubt)
 
 
 def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
@@ -189,7 +186,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
-                    doubt=_late(part, best, free) or otherwise or wanted or needless
+                    doubt=otherwise or wanted or needless
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, drifting=drifting,
                     rivals=_rivals([(gain, one.fit.model) for gain, one in others]),
@@ -285,8 +282,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bound(one, plant.free)), plant=plant.matrices, rivals=_other_plants(
             part, settings, samples, found, plant.free.limit),
-        doubt=_late(part, one, plant.free)
-        or _doubt(fit.model.poles, samples, plant.free, settings),
+        doubt=_doubt(fit.model.poles, samples, plant.free, settings),
         predictor=(found.samples, found.found.fit, found.free))
 
 
@@ -398,15 +394,6 @@ def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
         f'the pole of {np.max(np.abs(best.fit.model.poles)):.3g} rad/s is about the fastest that '
         f'is looked for ({_FASTEST:g} of the Nyquist frequency of the outputs) and stands for '
         'anything faster: it is a bound',)
-
-
-def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
-    """Return that a dead time is about as long as any that is looked for, and its setting."""
-    return next(((f'the dead time of input {name} is near the longest that is looked for, '
-                  f'{free.longest:.3g} s, and states may stand in for more', 'delay')
-                 for name, late, delay in zip(
-                     _names(part), free.delays, best.fit.model.delay, strict=True)
-                 if late and delay > NEARLY * free.longest), None)
 
 
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
@@ -589,10 +576,13 @@ def _other_delays(found: Solution, settings: Settings, effort: Effort) -> Doubt 
         return None
     samples, (_, fit, given) = simulated[0].thinned(SEARCHED), simulated
     free = replace(given, delays=(True,) * samples.nu)
+    order, most = settings.order, fit.model.n
+    if found.doubt is not None and found.doubt[1] == ANY_ORDER:
+        order, most = 0, settings.max_order     # or dead times stand for states that are missing
     samples, orders = search_orders(
-        samples, free, _Subspace(found.part, own, effort).poles, order=settings.order,
-        max_order=fit.model.n, known_delay=np.zeros(samples.nu))
-    other = orders.get(settings.order or choose(orders)) if orders else None
+        samples, free, _Subspace(found.part, own, effort).poles, order=order, max_order=most,
+        known_delay=np.zeros(samples.nu))
+    other = orders.get(order or choose(orders)) if orders else None
     if other is None:
         return None
     model = other.fit.model

@@ -57,8 +57,9 @@ class Recent:
             self._past.clear()
         if self._past and now_ns < self._past[-1][0]:  # the clock was set back
             self._past = deque([(now_ns, self._past[-1][1])])
-        while len(self._past) > 1 and self._past[1][0] <= now_ns - self._ns:
-            self._past.popleft()
+        since_ns = now_ns - self._ns
+        while len(self._past) > 1 and self._past[1][0] - since_ns <= since_ns - self._past[0][0]:
+            self._past.popleft()        # the next one is as near
         before = self._past[0][1] if self._past else Totals()
         since = [totals for _, totals in self._past][1:] + [now]
         self._past.append((now_ns, now))

@@ -114,10 +114,12 @@ class IngestDiagnosis:
         troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')
                      if 'no message has come' not in line]
         self.troubles = [*troubles, *(ended[topic] for topic in held)]
+        heard = any(state.messages for state in feed.topics.values())
         level = (Level.ERROR if failure else
-                 Level.STALE if silent and len(silent) == len(feed.topics) else
-                 Level.WARN if troubles else Level.OK)
-        return Health(INGEST, level, '; '.join(troubles) or 'messages come in', values)
+                 Level.STALE if len(silent) == len(feed.topics) else
+                 Level.WARN if troubles else Level.OK if heard else Level.STALE)
+        return Health(INGEST, level, '; '.join(troubles) or (
+            'messages come in' if heard else 'no message has come yet'), values)
 
     def _rate(self, topic: str, messages: int, now: float) -> float:
         past = self._past.setdefault(topic, _Past(now, messages))

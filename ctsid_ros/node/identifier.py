@@ -55,6 +55,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self._outputs: dict[str, Any] = {}
         self._offered: list[Any] = []
         self._told: set[str] = set()  # what is wrong now, and has been logged
+        self._refused = False  # whether parameters were, when it was to be configured last
         self._last_verdict = ''
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -72,6 +73,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read and check the parameters; make publishers and services."""
+        self._refused = True
         try:
             self._plan = read_plan(self)
         except SettingsError as error:
@@ -89,6 +91,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         acts = {'identify': Run.identify, 'reset': Run.reset,
                 'save': lambda run: run.save(self._folder())}
         self._offered = [self._offer(name, acts[name]) for name in SERVICES]
+        self._refused = False
         return _SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -204,9 +207,10 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         """Publish the diagnostics, log what is new in them."""
         run, name = self._now, self.get_fully_qualified_name()
         if run is None:
-            words = ('configured, but not active' if self._plan else 'not configured; correct the '
-                     'parameters and configure it, see the log')
-            level = Level.STALE if self._plan else Level.ERROR
+            words = 'configured, but not active' if self._plan else 'not configured; ' + (
+                'correct the parameters and configure it, see the log' if self._refused else
+                'it waits for that (`ros2 lifecycle set`, or a lifecycle manager)')
+            level = Level.ERROR if self._refused else Level.STALE
             found = [Health(part, level, words) for part in (INGEST, IDENTIFICATION)]
         else:
             found = run.health(self.get_parameter('ingest.timeout').value)

@@ -28,6 +28,7 @@ INGEST, IDENTIFICATION = 'ingest', 'identification'     # parts of the diagnosti
 _STRIP = 60         # windows
 _SILENT = 4.0       # s without diagnostics, which come once a second
 _BAR = 24           # characters
+_LONG_AGO = 1e5     # s: older ones are of another clock
 _PAINT = {Grade.GOOD: 'green', Grade.WEAK: 'yellow', Grade.REJECT: 'red'}
 _LEVELS = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'red', Level.STALE: 'dim'}
 _RATE, _MESSAGES = ' rate [1/s]', ' messages'
@@ -131,7 +132,7 @@ class Watched:
                          f'{self.computing:.2f} s. {verdict.reason}')
 
 
-def picture(watched: Watched, now: float) -> RenderableType:
+def picture(watched: Watched, now: float, clock: float = math.nan) -> RenderableType:
     """
     Return all of it for a terminal.
 
@@ -140,10 +141,12 @@ def picture(watched: Watched, now: float) -> RenderableType:
     watched : Watched
     now : float
         By the clock of `Watched.heard` [s].
+    clock : float
+        By the clock of the stamps [s], if it is known.
     """
     from rich.console import Group
 
-    parts = [_head(watched, now), _strip(watched), _topics(watched), _window(watched),
+    parts = [_head(watched, now), _strip(watched, clock), _topics(watched), _window(watched),
              _model(watched)]
     return Group(*[part for part in parts if part is not None])
 
@@ -161,7 +164,7 @@ def _head(watched: Watched, now: float) -> Text:
     return text
 
 
-def _strip(watched: Watched) -> Text | None:
+def _strip(watched: Watched, clock: float) -> Text | None:
     from rich.text import Text
 
     if not watched.strip:
@@ -169,7 +172,11 @@ def _strip(watched: Watched) -> Text | None:
     text = Text('\nverdicts  ')
     for grade in watched.strip:
         text.append(grade.name[0], style=f'bold {_PAINT[grade]}')
-    return text.append(f'  window {watched.window}  (G good, W weak, R reject)', style='dim')
+    # What is latched may be of long ago; stamps may be of another clock.
+    age = clock - 1e-9 * watched.estimate.end_ns if watched.estimate else math.nan
+    ended = f', which ended {age:.0f} s ago' if 0.0 <= age < _LONG_AGO else ''
+    return text.append(f'  window {watched.window}{ended}  (G good, W weak, R reject)',
+                       style='dim')
 
 
 def _table(*heads: str) -> Table:

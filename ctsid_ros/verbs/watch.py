@@ -118,7 +118,7 @@ def _print(watched: Watched) -> None:
 
     from ctsid_ros.report.watching import picture
 
-    Console().print(picture(watched, time.monotonic()))
+    Console().print(picture(watched, time.monotonic(), time.time()))
 
 
 def _show(watched: Watched, wait: Callable[[float], None]) -> None:
@@ -126,13 +126,13 @@ def _show(watched: Watched, wait: Callable[[float], None]) -> None:
 
     from ctsid_ros.report.watching import picture
 
-    with Live(picture(watched, time.monotonic()), auto_refresh=False) as live:
+    with Live(picture(watched, time.monotonic(), time.time()), auto_refresh=False) as live:
         shown = time.monotonic()
         while True:
             wait(_TURN)
             if time.monotonic() > shown + _FRAME:
                 shown = time.monotonic()
-                live.update(picture(watched, shown), refresh=True)
+                live.update(picture(watched, shown, time.time()), refresh=True)
 
 
 def _tell(watched: Watched, wait: Callable[[float], None]) -> None:
