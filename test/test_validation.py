@@ -54,6 +54,14 @@ def record_of(model, seed, *, end=10.0, noise=0.0, counts=(400, 300), x0=None, s
     return Record.from_signals(inputs, outputs)
 
 
+@pytest.mark.parametrize('value', [0.123, 0.0, 1e6 / 3.0])
+def test_an_output_that_repeats_a_value_has_no_fit(value):
+    """The mean of equal values is rounded: a fit of -1e18 %."""
+    y = np.full((50, 1), value)
+    assert np.isnan(fit(y, y + 1.0)).all()
+    assert np.isnan(vaf(y, y + 1.0)).all()
+
+
 @pytest.mark.parametrize('delay', [0.06, 0.6, 3.0])
 def test_what_acted_before_the_record_is_not_missed(delay):
     """A robot that moved before: for its dead time outputs follow what nobody recorded."""
