@@ -46,7 +46,16 @@ from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCHED, affordable, nearest
 from ctsid_core.search.needless import without_needless
-from ctsid_core.search.own_past import HORIZONS, carried_on, held_interval, with_own_past
+from ctsid_core.search.own_past import (
+    HORIZONS,
+    Lost,
+    after_samples,
+    carried_on,
+    foretold,
+    held_interval,
+    lost_of,
+    with_own_past,
+)
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.search.tried import LEAST, SEARCH, Tried, parameters, price, tried
 from ctsid_core.signals.record import Record
@@ -55,6 +64,7 @@ _NOISES = 8                 # powers of noise in a plant, as far as its filters 
 _HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
 _FINAL = 2                  # orders that are climbed with all samples
+_REFITS = 2                 # of a predictor that tells itself what was lost
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
@@ -89,6 +99,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
                         known_delay: Array, last: Compared) -> PredictionFit | None:
     """Return the model that predicts the samples best, or None; orders are compared on `last`."""
     joint = with_own_past(samples)
+    lost = lost_of(joint)
+    joint = after_samples(joint)
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
                   limit=-_FORGETS / samples.length)
     starts = regressed(joint, order or max_order, known_delay, own)
@@ -107,7 +119,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
         fit, final = one.found.fit, _judged if joint.effort.beyond(SEARCH) else _nearby
         climbed = one if joint is thin else final(
             joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
-        known += [] if climbed is None else [climbed]
+        known += [] if climbed is None else [_foretold(climbed, lost, last) if lost else climbed]
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
@@ -116,9 +128,9 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
         orders[best.found.fit.model.n] = best.found
     else:
         # One sample ahead any error is small where samples are dense.
-        needed, fewer = without_needless(joint, best.found, best.free, 0.0, each=False)
+        needed, fewer = without_needless(best.samples, best.found, best.free, 0.0, each=False)
         other = replace(best, free=fewer) if needed is best.found else \
-            _judged(joint, needed.fit, fewer, last)
+            _judged(best.samples, needed.fit, fewer, last)
         # Far ahead a dead time may show that hardly does one sample ahead.
         if other is not None:
             known = [other, *(one for one in known if one is not best or needed is not one.found)]
@@ -194,6 +206,16 @@ def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> Predictio
         top = climb_roughly(joint, start, free)
     return _judged(joint, top, free, last) \
         or (None if top is start else _judged(joint, start, free, last))
+
+
+def _foretold(one: PredictionFit, lost: Lost, last: Compared) -> PredictionFit:
+    """Return the likeliest predictor that itself tells what was lost of the own past."""
+    for _ in range(_REFITS):
+        fit, joint = one.found.fit, foretold(one.samples, one.found.fit, lost)
+        with suppress(np.linalg.LinAlgError):
+            start = fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit)
+            one = _nearby(joint, start, one.free, last) or one
+    return one
 
 
 def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
@@ -386,6 +408,11 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
         states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
+        for _ in range(0 if real.all() else HORIZONS[-1]):      # what was lost corrects nothing
+            before, rest[~real] = rest[~real], (states @ m.C.T)[~real]
+            if np.max(np.abs(rest[~real] - before) / motion, initial=0.0) < LEAST:
+                break
+            states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
         for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T

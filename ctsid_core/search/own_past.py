@@ -10,6 +10,7 @@ forget more, and what it forgets would be taken for the plant's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -17,9 +18,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from ctsid_core.likelihood.output_error import Fit
+from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples, slowest
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.modal import Drive
+from ctsid_core.search.tried import LEAST
 from ctsid_core.signals.record import Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead that predictions go
@@ -28,20 +32,72 @@ _JITTER = 0.1               # of a sample interval: of stamps that are of one in
 _FEW = 5                    # samples before and after a gap, that tell what is missing in it
 
 
+Lost = list[list[Mask]]      # rows of the own past that were lost, of each record and stream
+
+
 def with_own_past(samples: Samples) -> Samples:
     """Return the samples with the outputs, held from each to the next, as further inputs."""
-    records = []
-    for r in _before_inputs(samples).records:
-        r = _even(r)
-        past = tuple(Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams)
-        records.append(replace(r, inputs=r.inputs + past,
-                               drives=r.drives + tuple(Drive.of(s) for s in past)))
-    return replace(samples, records=tuple(records), nu=samples.nu + samples.ny)
+    even = [_even(r) for r in _before_inputs(samples).records]
+    return replace(samples, nu=samples.nu + samples.ny, records=tuple(_beside(r, r.inputs, [
+        Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams]) for r in even))
+
+
+def after_samples(joint: Samples) -> Samples:
+    """Return the samples without those just after what was lost: no measured past tells these."""
+    return replace(joint, records=tuple(replace(r, streams=tuple(
+        s.of(np.append(True, _lost_after(s.times)[:-1] == 0)[:len(s.times)]) for s in r.streams))
+        for r in joint.records))
+
+
+def lost_of(joint: Samples) -> Lost:
+    """Return which rows of the own past were lost, if any: of each record and stream, (N,)."""
+    found = [[~np.isin(past.time, s.times) for past, s in zip(_past(r), r.streams, strict=True)]
+             for r in joint.records]
+    return found if any(rows.any() for own in found for rows in own) else []
+
+
+def foretold(joint: Samples, fit: Fit, lost: Lost) -> Samples:
+    """
+    Return the samples with what was lost of the past as a predictor tells it.
+
+    That is a filter which goes on without samples: what it does not learn, it does not correct.
+    """
+    for _ in range(HORIZONS[-1]):               # what is lost in a row is told one after another
+        there = replace(joint, records=tuple(replace(r, streams=tuple(
+            replace(s, times=past.time[rows], y=past.values[rows])
+            for s, past, rows in zip(r.streams, _past(r), own, strict=True)))
+            for r, own in zip(joint.records, lost, strict=True)))
+        errors = residuals(there, fit)
+        joint = replace(joint, records=tuple(
+            _beside(r, r.inputs[:-len(r.streams)], [
+                replace(past, values=_less(past.values, rows, e))
+                for past, rows, e in zip(_past(r), own, left, strict=True)])
+            for r, own, left in zip(joint.records, lost, errors, strict=True)))
+        if max(np.max(np.abs(e), initial=0.0) for left in errors for e in left) < LEAST:
+            break
+    return joint
+
+
+def _past(record: RecordSamples) -> tuple[Signal, ...]:
+    return record.inputs[-len(record.streams):]
+
+
+def _beside(record: RecordSamples, inputs: tuple[Signal, ...],
+            past: Sequence[Signal]) -> RecordSamples:
+    """Return a record with its inputs, and the own past beside them."""
+    return replace(record, inputs=(*inputs, *past), drives=(
+        *record.drives[:len(inputs)], *(Drive.of(s) for s in past)))
+
+
+def _less(values: Array, rows: Mask, errors: Array) -> Array:
+    found = values.copy()
+    found[rows] -= errors
+    return found
 
 
 def held_interval(joint: Samples) -> float:
     """Return the median interval of the slowest output, however thin the samples are [s]."""
-    return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
+    return slowest([s for r in joint.records for s in _past(r)])
 
 
 def carried_on(times: Array, y: Array) -> tuple[Array, Array]:
