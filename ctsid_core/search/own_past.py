@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
-from ctsid_core.likelihood.samples import RecordSamples, Samples, slowest
+from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream, slowest
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.modal import Drive
 from ctsid_core.search.tried import LEAST
@@ -29,6 +29,7 @@ from ctsid_core.signals.record import Signal
 HORIZONS = (1, 10, 50)      # samples ahead that predictions go
 AHEAD = 1                   # place of the one whose fit is reported
 _JITTER = 0.1               # of a sample interval: of stamps that are of one instant
+_AS_RARE = 0.7              # of the interval of the slowest output, from which on one is as slow
 _FEW = 5                    # samples before and after a gap, that tell what is missing in it
 
 
@@ -37,7 +38,7 @@ Lost = list[list[Mask]]      # rows of the own past that were lost, of each reco
 
 def with_own_past(samples: Samples) -> Samples:
     """Return the samples with the outputs, held from each to the next, as further inputs."""
-    even = [_even(r) for r in _before_inputs(samples).records]
+    even = [_even(_as_rare(r)) for r in _before_inputs(samples).records]
     return replace(samples, nu=samples.nu + samples.ny, records=tuple(_beside(r, r.inputs, [
         Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams]) for r in even))
 
@@ -160,9 +161,26 @@ def _before_inputs(samples: Samples) -> Samples:
         for r in samples.records))
 
 
+def _rarest(record: RecordSamples) -> Stream:
+    return max(record.streams, key=lambda s: (s.period < np.inf, s.period))
+
+
+def _as_rare(record: RecordSamples) -> RecordSamples:
+    """
+    Return a record with the samples of all outputs that came last before those of the slowest.
+
+    A predictor of the samples of several rates is another one from each of them to the next.
+    """
+    rarest = _rarest(record)
+    return replace(record, streams=tuple(
+        s if s.period > _AS_RARE * rarest.period or s is rarest else s.of(np.unique(np.clip(
+            np.searchsorted(s.times, rarest.times, side='right') - 1, 0, None)))
+        for s in record.streams))
+
+
 def _even(record: RecordSamples) -> RecordSamples:
     """Return a record in the time of its slowest output's samples, those of others evened, too."""
-    times = max(record.streams, key=lambda s: (s.period < np.inf, s.period)).times
+    times = _rarest(record).times
     if len(times) < 2:
         return record
     moved = partial(_moved, times=times, to=_evened(times))
