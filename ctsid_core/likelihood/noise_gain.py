@@ -147,7 +147,10 @@ def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Arra
     if not np.max(np.abs(values), initial=0.0) <= 1.0:
         return np.full((len(v), len(F)), np.inf)
     driven = (np.linalg.inv(right) @ (L @ v.T)).astype(complex)
-    free = values[:, np.newaxis] ** np.arange(len(v))                    # (n, N)
+    first = np.zeros_like(driven)
+    first[:, :1] = values[:, np.newaxis]
+    free = _filtered(values.astype(complex), first)                      # (n, N)
+    free[:, :1] = 1.0
     seen = C @ right
     rest = (v.T - (seen @ _filtered(values, driven)).real)[:, :count].ravel()
     columns = (seen[:, :, np.newaxis] * free[:, :count]).transpose(0, 2, 1).reshape(
