@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from ctsid_core.likelihood.noise_gain import _filtering, continuous_gain, noise_gain, uniform
+from ctsid_core.likelihood.noise_gain import (
+    _filtering,
+    continuous_gain,
+    led_through,
+    noise_gain,
+    predicted_states,
+    states_with_gaps,
+    uniform,
+)
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.signals.record import Record, Signal
 
@@ -102,3 +110,44 @@ def test_a_sample_half_a_step_from_two_instants_is_read_once():
     seen = errors[errors[:, 0] != 0.0, 0]
     assert len(seen) >= np.count_nonzero(kept) - 2
     assert len(np.unique(seen)) == len(seen)
+
+
+@pytest.mark.parametrize('count', [0, 40])
+def test_a_filter_goes_on_where_samples_are_missing(count):
+    rng = np.random.default_rng(5)
+    F = np.diag([0.9, 0.8, 1.02]) + 0.05 * rng.standard_normal((3, 3))
+    C, v = rng.standard_normal((2, 3)), rng.standard_normal((317, 2))
+    P = solve_discrete_are(F.T, C.T, np.eye(3), np.eye(2))
+    L = F @ P @ C.T @ np.linalg.inv(C @ P @ C.T + np.eye(2))
+    everywhere = states_with_gaps(F, L, C, v, np.ones(317, dtype=bool), count)
+    np.testing.assert_allclose(everywhere, predicted_states(F, L, C, v, count), atol=1e-12)
+    known = rng.uniform(size=317) > 0.4
+    known[100:160] = False
+    states = states_with_gaps(F, L, C, v, known, count)
+    x = states[0]
+    for k in range(317):
+        np.testing.assert_allclose(states[k], x, rtol=1e-9, atol=1e-9)
+        x = F @ x + L @ (v[k] - C @ x) * known[k]
+
+    def errors(start):
+        x, found = start, []
+        for k in range(count):
+            found.append((v[k] - C @ x) * known[k])
+            x = F @ x + L @ (v[k] - C @ x) * known[k]
+        return np.concatenate(found) if found else np.zeros(1)
+
+    least = np.sum(errors(states[0]) ** 2)                     # the first one is best for these
+    assert all(np.sum(errors(states[0] + 1e-3 * d) ** 2) >= least
+               for d in (*np.eye(3), *-np.eye(3)))
+
+
+def test_blocks_lead_through_as_one_step_after_another():
+    rng = np.random.default_rng(6)
+    for count in (1, 2, 3, 10, 101):
+        moves = 0.6 * rng.standard_normal((count, 3, 3))
+        pushes = rng.standard_normal((count, 3, 2))
+        found = led_through(moves, pushes, np.ones((3, 2)))
+        x = np.ones((3, 2))
+        for k in range(count):
+            np.testing.assert_allclose(found[k], x, rtol=1e-8, atol=1e-8)
+            x = moves[k] @ x + pushes[k]

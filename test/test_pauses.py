@@ -92,6 +92,23 @@ def test_a_pause_is_where_every_channel_misses_samples():
     assert between_pauses(short) == (short,)
 
 
+def test_a_part_with_one_sample_of_an_output_is_left_out():
+    """There is no interval from it to a next one: a division by zero."""
+    t_u, u, t_y, y = moved(0, 18.0)
+    late = t_y + 0.003
+    one = (late < 6.0) | (late > 12.0)
+    one[np.searchsorted(late, 9.0)] = True
+    outputs = (Signal(t_y, y), Signal(late[one], y[one]))
+    record = Record((Signal(t_u, u, 'zoh'),), outputs, 0.0, 18.0)
+    for pause in ((6.0, 7.0), (11.0, 12.0)):
+        record = replace(record, **{name: tuple(replace(
+            s, time=s.time[rows], values=s.values[rows]) for s in getattr(record, name)
+            for rows in [(s.time < pause[0]) | (s.time > pause[1])]) for name in (
+                'inputs', 'outputs')})
+    assert [part.end < 7.0 or part.start > 11.0 for part in between_pauses(record)] == [True] * 2
+    assert identify(record, Settings(order=2)).model is not None
+
+
 def test_a_measured_input_that_is_missing_is_a_pause():
     """Straight lines through 0.6 s, in which it moved: a pole 14 % away, with 21 states."""
     rng = np.random.default_rng(4)

@@ -28,7 +28,11 @@ import numpy as np
 from scipy.linalg import logm
 
 from ctsid_core.likelihood.mode_columns import columns_of, least_cost
-from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
+from ctsid_core.likelihood.noise_gain import (
+    continuous_gain,
+    predicted_states,
+    states_with_gaps,
+)
 from ctsid_core.likelihood.output_error import (
     Fit,
     Free,
@@ -210,7 +214,7 @@ def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> Predictio
 
 def _foretold(one: PredictionFit, lost: Lost, last: Compared) -> PredictionFit:
     """Return the likeliest predictor that itself tells what was lost of the own past."""
-    for _ in range(_REFITS):
+    for _ in range(0 if one.samples.effort.beyond(SEARCH) else _REFITS):
         fit, joint = one.found.fit, foretold(one.samples, one.found.fit, lost)
         with suppress(np.linalg.LinAlgError):
             start = fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit)
@@ -407,12 +411,9 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
-        states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
-        for _ in range(0 if real.all() else HORIZONS[-1]):      # what was lost corrects nothing
-            before, rest[~real] = rest[~real], (states @ m.C.T)[~real]
-            if np.max(np.abs(rest[~real] - before) / motion, initial=0.0) < LEAST:
-                break
-            states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
+        start = 0 if simulates else first
+        states = predicted_states(F, F @ M, m.C, rest, start) if real.all() else \
+            states_with_gaps(F, F @ M, m.C, rest, real, start)
         for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T

@@ -13,17 +13,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from ctsid_core.likelihood.noise_gain import led_through
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream, slowest
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.likelihood.state_space import matrices_of
+from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.types import Array, Mask, Matrices
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.tried import LEAST
 from ctsid_core.signals.record import Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead that predictions go
@@ -31,6 +34,7 @@ AHEAD = 1                   # place of the one whose fit is reported
 _JITTER = 0.1               # of a sample interval: of stamps that are of one instant
 _AS_RARE = 0.7              # of the interval of the slowest output, from which on one is as slow
 _FEW = 5                    # samples before and after a gap, that tell what is missing in it
+_RULE = 0.5                 # of the intervals around, that are no gaps then
 
 
 Lost = list[list[Mask]]      # rows of the own past that were lost, of each record and stream
@@ -44,10 +48,17 @@ def with_own_past(samples: Samples) -> Samples:
 
 
 def after_samples(joint: Samples) -> Samples:
-    """Return the samples without those just after what was lost: no measured past tells these."""
+    """
+    Return the samples without those just after what was lost: no measured past tells these.
+
+    Not where nearly all are so, for it is their rate there.
+    """
+    def told(times: Array) -> Mask:
+        after = np.append(0, _lost_after(times)[:-1])[:len(times)] > 0
+        return ~after | (_mean_around(after, min(HORIZONS[-1], max(len(times) - 1, 0))) > _RULE)
+
     return replace(joint, records=tuple(replace(r, streams=tuple(
-        s.of(np.append(True, _lost_after(s.times)[:-1] == 0)[:len(s.times)]) for s in r.streams))
-        for r in joint.records))
+        s.of(told(s.times)) for s in r.streams)) for r in joint.records))
 
 
 def lost_of(joint: Samples) -> Lost:
@@ -63,20 +74,47 @@ def foretold(joint: Samples, fit: Fit, lost: Lost) -> Samples:
 
     That is a filter which goes on without samples: what it does not learn, it does not correct.
     """
-    for _ in range(HORIZONS[-1]):               # what is lost in a row is told one after another
-        there = replace(joint, records=tuple(replace(r, streams=tuple(
-            replace(s, times=past.time[rows], y=past.values[rows])
-            for s, past, rows in zip(r.streams, _past(r), own, strict=True)))
-            for r, own in zip(joint.records, lost, strict=True)))
-        errors = residuals(there, fit)
-        joint = replace(joint, records=tuple(
-            _beside(r, r.inputs[:-len(r.streams)], [
-                replace(past, values=_less(past.values, rows, e))
-                for past, rows, e in zip(_past(r), own, left, strict=True)])
-            for r, own, left in zip(joint.records, lost, errors, strict=True)))
-        if max(np.max(np.abs(e), initial=0.0) for left in errors for e in left) < LEAST:
-            break
-    return joint
+    m, nu = matrices_of(fit.model, np.ones(joint.ny)), joint.nu - joint.ny
+    there = replace(joint, records=tuple(replace(r, streams=tuple(
+        replace(s, times=past.time[rows], y=past.values[rows])
+        for s, past, rows in zip(r.streams, _past(r), own, strict=True)))
+        for r, own in zip(joint.records, lost, strict=True)))
+    return replace(joint, records=tuple(
+        _beside(r, r.inputs[:-len(r.streams)], _told(m, m.B[:, nu:], r, own, errors))
+        for r, own, errors in zip(joint.records, lost, residuals(there, fit), strict=True)))
+
+
+def _told(m: Matrices, K: Array, record: RecordSamples, lost: Sequence[Mask],
+          errors: Sequence[Array]) -> list[Signal]:
+    """
+    Return the own past of a record with what a predictor tells where it was lost.
+
+    `errors`: what stands there now less what is predicted. What another value there changes in
+    all later ones are states of the predictor (1), and in the values that are held.
+    """
+    n, ny, pasts = len(m.A), len(m.C), _past(record)
+    times = np.concatenate([past.time for past in pasts])
+    order = np.argsort(times, kind='stable')
+    hold, change = np.ones((len(times), ny)), np.zeros((len(times), ny))
+    gone, at = np.zeros((len(times), ny), dtype=bool), 0
+    for s, past, rows, e in zip(record.streams, pasts, lost, errors, strict=True):
+        own = slice(at, at := at + len(past.time))
+        hold[own, s.channels] = 0.0                     # a sample takes the place of the last one
+        gone[own, s.channels] = rows[:, np.newaxis]
+        change[own, s.channels][rows] = -e
+    hold, gone, change = hold[order], gone[order], change[order]
+    F, G = exponentials(m.A, np.diff(times[order], append=times[order[-1]]), 1)
+    over, both = np.zeros((len(times), n + ny, n + ny)), np.zeros((len(times), n + ny, n + ny))
+    over[:, :n, :n], over[:, :n, n:], over[:, n:, n:] = F, G @ K, np.eye(ny)
+    both[:, :n, :n], both[:, n:, :n] = np.eye(n), gone[:, :, np.newaxis] * m.C
+    both[:, n:, n:] = hold[:, :, np.newaxis] * np.eye(ny)
+    states = led_through(over @ both, over[:, :, n:] @ change[:, :, np.newaxis],
+                         np.zeros((n + ny, 1)))[:, :n, 0]
+    change += gone * (states @ m.C.T)
+    change[order] = change.copy()
+    ends = np.cumsum([len(past.time) for past in pasts])[:-1]
+    return [replace(past, values=past.values + made[:, s.channels])
+            for s, past, made in zip(record.streams, pasts, np.split(change, ends), strict=True)]
 
 
 def _past(record: RecordSamples) -> tuple[Signal, ...]:
@@ -88,12 +126,6 @@ def _beside(record: RecordSamples, inputs: tuple[Signal, ...],
     """Return a record with its inputs, and the own past beside them."""
     return replace(record, inputs=(*inputs, *past), drives=(
         *record.drives[:len(inputs)], *(Drive.of(s) for s in past)))
-
-
-def _less(values: Array, rows: Mask, errors: Array) -> Array:
-    found = values.copy()
-    found[rows] -= errors
-    return found
 
 
 def held_interval(joint: Samples) -> float:
@@ -197,7 +229,8 @@ def _between(stamps: Array, times: Array, even: Array) -> Array:
     ends, place = np.pad(stamps, 1, constant_values=(-1e300, 1e300)), np.searchsorted(
         stamps, times, side='right')
     low, high = ends[place], ends[place + 1]
-    return np.clip(even, low + _JITTER * (times - low), high - _JITTER * (high - times))
+    return np.where(times == low, times, np.clip(
+        even, low + _JITTER * (times - low), high - _JITTER * (high - times)))
 
 
 def _moved(stamps: Array, times: Array, to: Array) -> Array:
@@ -215,10 +248,16 @@ def _evened(times: Array) -> Array:
     """
     lost, found = _lost_after(times), times.copy()
     for rows in np.split(np.arange(len(times)), np.flatnonzero(lost > HORIZONS[-1]) + 1):
+        if not len(rows):
+            continue
         place = np.cumsum(lost[rows] + 1) - lost[rows] - 1
         every = np.interp(np.arange(place[-1] + 1), place, times[rows])
         reach = min(HORIZONS[-1], len(every) - 1)
-        around = np.pad(every - every[0], reach, mode='reflect', reflect_type='odd')
-        mean = np.convolve(around, np.full(2 * reach + 1, 1.0 / (2 * reach + 1)), 'valid')
-        found[rows] = every[0] + mean[place]
+        found[rows] = every[0] + _mean_around(every - every[0], reach, 'odd')[place]
     return found
+
+
+def _mean_around(values: Array | Mask, reach: int, kind: Literal['even', 'odd'] = 'even') -> Array:
+    """Return means over so many neighbours on both sides, reflected at the ends."""
+    around = np.pad(values.astype(float), reach, mode='reflect', reflect_type=kind)
+    return np.convolve(around, np.full(2 * reach + 1, 1.0 / (2 * reach + 1)), 'valid')

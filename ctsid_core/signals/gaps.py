@@ -36,8 +36,9 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     Return the parts of a record between its pauses, in their order.
 
     In a pause every channel misses several of its samples, or an input does that is not held: one
-    that is sent when it changes tells nothing by its silence. Parts too short to be used are left
-    out, but where most samples are in such parts the record is returned as it is.
+    that is sent when it changes tells nothing by its silence. Parts too short to be used, or with one
+    sample of an output, are left out, but where most samples are in such parts the record is
+    returned as it is.
     """
     signals = (*record.inputs, *record.outputs)
     pauses = _silent(np.unique(np.concatenate([s.time for s in signals])), signals, record)
@@ -55,7 +56,7 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     counts = [[len(s.time[s.rows(part.start, part.end)]) for s in part.outputs]
               for part in parts]
     kept = [max(own) >= (FEWEST if part.duration > _LONG * record.duration else _MANY * FEWEST)
-            and all(len(s.time) for s in part.inputs)
+            and 1 not in own and all(len(s.time) for s in part.inputs)
             for own, part in zip(counts, parts, strict=True)]
     if sum(map(sum, compress(counts, kept))) > 0.5 * sum(map(sum, counts)):
         return tuple(compress(parts, kept))
