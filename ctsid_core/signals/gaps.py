@@ -36,8 +36,8 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     Return the parts of a record between its pauses, in their order.
 
     In a pause every channel misses several of its samples, or an input does that is not held: one
-    that is sent when it changes tells nothing by its silence. Parts too short to be used, or with one
-    sample of an output, are left out, but where most samples are in such parts the record is
+    that is sent when it changes tells nothing by its silence. Parts too short to be used, or with
+    one sample of an output, are left out, but where most samples are in such parts the record is
     returned as it is.
     """
     signals = (*record.inputs, *record.outputs)
