@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,11 +234,11 @@ def _root_of_spectra(taken: ComplexArray, noise: ComplexArray, both: Array,
     check()
     numbers = both @ np.einsum('fii->fi', taken).real
     reach = min(int(np.ceil(np.max(numbers))), len(taken) - 1)
-    values, turn = np.linalg.eigh(_mean_around(np.eye(taken.shape[1]) - taken, reach))
+    values, turn = np.linalg.eigh(mean_around(np.eye(taken.shape[1]) - taken, reach))
     less = (turn / np.sqrt(np.maximum(values, _SPARE))[:, np.newaxis]) @ _turned(turn)
     check()
     noise = noise[:, :, np.newaxis]
-    power, turn = np.linalg.eigh(less @ _mean_around(noise @ _turned(noise), reach) @ less)
+    power, turn = np.linalg.eigh(less @ mean_around(noise @ _turned(noise), reach) @ less)
     size = np.sqrt(both[:, np.newaxis] * np.maximum(power, 0.0))
     return np.asarray(size[:, :, np.newaxis] * _turned(turn))
 
@@ -247,11 +248,12 @@ def _turned(matrices: ComplexArray) -> ComplexArray:
     return matrices.conj().swapaxes(1, 2)
 
 
-def _mean_around(values: ComplexArray, reach: int) -> ComplexArray:
+def mean_around(values: NDArray[Any], reach: int,
+                kind: Literal['even', 'odd'] = 'even') -> NDArray[Any]:
     """Return means over so many neighbours along the first axis, mirrored at its ends."""
     ends = [(0, 0)] * (values.ndim - 1)
-    total = np.cumsum(np.pad(np.pad(values, [(reach, reach), *ends], mode='reflect'),
-                             [(1, 0), *ends]), axis=0)
+    around = np.pad(values, [(reach, reach), *ends], mode='reflect', reflect_type=kind)
+    total = np.cumsum(np.pad(around, [(1, 0), *ends]), axis=0)
     return np.asarray((total[2 * reach + 1:] - total[:-2 * reach - 1]) / (2 * reach + 1))
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -23,7 +22,7 @@ from ctsid_core.likelihood.noise_gain import led_through
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream, slowest
-from ctsid_core.likelihood.state_space import matrices_of
+from ctsid_core.likelihood.state_space import matrices_of, mean_around
 from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, Mask, Matrices
 from ctsid_core.model.modal import Drive
@@ -55,7 +54,8 @@ def after_samples(joint: Samples) -> Samples:
     """
     def told(times: Array) -> Mask:
         after = np.append(0, _lost_after(times)[:-1])[:len(times)] > 0
-        return ~after | (_mean_around(after, min(HORIZONS[-1], max(len(times) - 1, 0))) > _RULE)
+        reach = min(HORIZONS[-1], max(len(times) - 1, 0))
+        return ~after | (mean_around(after.astype(float), reach) > _RULE)
 
     return replace(joint, records=tuple(replace(r, streams=tuple(
         s.of(told(s.times)) for s in r.streams)) for r in joint.records))
@@ -253,11 +253,5 @@ def _evened(times: Array) -> Array:
         place = np.cumsum(lost[rows] + 1) - lost[rows] - 1
         every = np.interp(np.arange(place[-1] + 1), place, times[rows])
         reach = min(HORIZONS[-1], len(every) - 1)
-        found[rows] = every[0] + _mean_around(every - every[0], reach, 'odd')[place]
+        found[rows] = every[0] + mean_around(every - every[0], reach, 'odd')[place]
     return found
-
-
-def _mean_around(values: Array | Mask, reach: int, kind: Literal['even', 'odd'] = 'even') -> Array:
-    """Return means over so many neighbours on both sides, reflected at the ends."""
-    around = np.pad(values.astype(float), reach, mode='reflect', reflect_type=kind)
-    return np.convolve(around, np.full(2 * reach + 1, 1.0 / (2 * reach + 1)), 'valid')
