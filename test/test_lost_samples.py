@@ -43,6 +43,8 @@ def test_what_is_before_a_gap_is_all_that_tells():
 
 def test_samples_of_which_none_is_lost_stay_as_they_are():
     rng = np.random.default_rng(1)
+    first = np.array([0.0, 0.3, 0.4, 0.5, 0.6])         # nothing tells what is after the first one
+    assert carried_on(first, first[:, np.newaxis])[0] is first
     for count in (0, 1, 2, 3, 50):
         times = np.arange(count) * 0.1 + rng.uniform(-0.02, 0.02, count)
         y = rng.standard_normal((count, 1))

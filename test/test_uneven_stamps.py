@@ -134,8 +134,25 @@ def test_samples_of_an_input_s_instant_stay_there():
     stamps = [jittering(seed=1), 0.003 + jittering(seed=2)]
     inputs = np.sort(np.concatenate((stamps[0][9::20], stamps[1][4::20])))
     times, moved = evened(stamps, inputs)
-    assert all(np.isin(even[np.isin(own, inputs)], moved).all()
-               for even, own in zip(times, stamps, strict=True))
+    for even, own in zip(times, stamps, strict=True):
+        at = np.isin(own, inputs)
+        np.testing.assert_allclose(even[at], moved[np.isin(inputs, own)], atol=1e-12)
+        np.testing.assert_array_equal(np.searchsorted(moved, even + 1e-9),
+                                      np.searchsorted(inputs, own + 1e-9))
+
+
+def test_a_sample_just_after_an_input_is_put_to_its_instant():
+    stamps = jittering()
+    (times,), moved = evened([stamps], stamps[3::10] - 5e-4)
+    np.testing.assert_allclose(times[3::10], moved, atol=1e-12)
+
+
+def test_inputs_go_with_the_slowest_topic():
+    stamps = [jittering(500, seed=1), 1.25 * jittering(seed=2)]
+    times, moved = evened(stamps, stamps[1][::5] + 1e-3)
+    assert np.all((moved - times[1][::5] > 2e-4) & (moved - times[1][::5] < 4e-3))
+    times, moved = evened([stamps[0], stamps[0][200:201] + 4e-3], stamps[0][::5] + 1e-3)
+    assert np.std(np.diff(times[0])) < 0.2 * np.std(np.diff(stamps[0]))   # one sample is no topic
 
 
 def test_two_topics_are_both_evened():
@@ -178,3 +195,9 @@ def test_what_comes_just_after_a_gap_is_not_compared():
     assert np.setdiff1d(stamps.round(3), compared.times.round(3)).tolist() == [0.32, 0.61]
     whole = with_own_past(samples_of([record.between(0.0, 0.29)], [(None,)]))
     assert not lost_of(whole)
+    # Where all come after a gap it is another rate.
+    stamps = np.concatenate((0.01 * np.arange(300), 3.0 + 0.02 * np.arange(200)))
+    halved = replace(record, end=stamps[-1], outputs=(
+        Signal(stamps, np.sin(stamps)[:, np.newaxis], 'smooth'),))
+    joint = after_samples(with_own_past(samples_of([halved], [(None,)])))
+    assert len(joint.records[0].streams[0].times) > 460

@@ -217,10 +217,9 @@ def _even(record: RecordSamples) -> RecordSamples:
         return record
     moved = partial(_moved, times=times, to=_evened(times))
     inputs = tuple(replace(s, time=moved(s.time)) for s in record.inputs)
-    start, end = moved(np.array([record.start, record.end])).tolist()
     stamps = np.unique(np.concatenate([s.time for s in inputs]))
     return replace(record, inputs=inputs, drives=tuple(Drive.of(s) for s in inputs),
-                   start=start, end=end, streams=tuple(replace(s, times=_between(
+                   streams=tuple(replace(s, times=_between(
                        stamps, moved(s.times), _evened(s.times))) for s in record.streams))
 
 
@@ -244,7 +243,7 @@ def _evened(times: Array) -> Array:
     Return stamps as even as they are over the samples that predictions go ahead.
 
     The mean of as many on both sides, as if none was lost in between; samples that are further
-    apart are apart.
+    apart are apart. The first and the last one stay where they are.
     """
     lost, found = _lost_after(times), times.copy()
     for rows in np.split(np.arange(len(times)), np.flatnonzero(lost > HORIZONS[-1]) + 1):
