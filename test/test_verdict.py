@@ -296,7 +296,7 @@ def test_an_input_that_hardly_moves_is_named(seed):
     assert verdict.reason.startswith('The response to input u2 has a standard deviation ')
 
 
-@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
+@pytest.mark.parametrize('seed', [0, 1, *slow(2, 3, 4, 5)])
 def test_an_input_that_no_output_follows_is_to_be_left_out(seed):
     p = random_plant(np.random.default_rng(3), 2, 2, 1)
     p.B[:, 1] = 0.0
