@@ -33,7 +33,7 @@ AHEAD = 1                   # place of the one whose fit is reported
 _JITTER = 0.1               # of a sample interval: of stamps that are of one instant
 _AS_RARE = 0.7              # of the interval of the slowest output, from which on one is as slow
 _FEW = 5                    # samples before and after a gap, that tell what is missing in it
-_RULE = 0.5                 # of the intervals around, that are no gaps then
+_RULE = 0.5                 # of the samples around that come after gaps: it is another rate
 
 
 Lost = list[list[Mask]]      # rows of the own past that were lost, of each record and stream
@@ -50,7 +50,7 @@ def after_samples(joint: Samples) -> Samples:
     """
     Return the samples without those just after what was lost: no measured past tells these.
 
-    Not where nearly all are so, for it is their rate there.
+    Not where half of those around are so, for it is their rate there.
     """
     def told(times: Array) -> Mask:
         after = np.append(0, _lost_after(times)[:-1])[:len(times)] > 0
