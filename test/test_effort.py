@@ -117,7 +117,7 @@ LONG = {
     curve: {'triangle': 1}, gobf: {'triangle': 1, '_filtered': 1, '_interpolation_error': 1},
     ct_pbsid: {'triangle': 1, 'regress': 1, 'realise': 1}, hd_pbsid: {'stack_levels': 1},
     noise_gain: {'_filtered': 3, '_derivatives': 1}, output_error: {'_slopes': 1},
-    slopes: {'basis_of': 1}, spikes: {'_judge': 3}, state_space: {'_mean_around': 1}}
+    slopes: {'basis_of': 1}, spikes: {'_judge': 3}, state_space: {'mean_around': 1}}
 
 
 @pytest.mark.parametrize(('settings', 'reached'), [
