@@ -33,6 +33,7 @@ AHEAD = 1                   # place of the one whose fit is reported
 _JITTER = 0.1               # of a sample interval: of stamps that are of one instant
 _AS_RARE = 0.7              # of the interval of the slowest output, from which on one is as slow
 _FEW = 5                    # samples before and after a gap, that tell what is missing in it
+_SAME = 1e-9                # of a record, by which even stamps are rounded
 _RULE = 0.5                 # of the samples around that come after gaps: it is another rate
 
 
@@ -253,4 +254,5 @@ def _evened(times: Array) -> Array:
         every = np.interp(np.arange(place[-1] + 1), place, times[rows])
         reach = min(HORIZONS[-1], len(every) - 1)
         found[rows] = every[0] + mean_around(every - every[0], reach, 'odd')[place]
-    return found
+    even = len(times) > 1 and np.max(np.abs(found - times)) <= _SAME * np.ptp(times)
+    return times if even else found
