@@ -34,8 +34,8 @@ def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int]:
     """
     tau = 0.5 * record.duration
     band = max(band, output_band(record))
-    slowest = max((s.period for s in (*record.inputs, *record.outputs)
-                   if s.hold != 'zoh' and s.period < np.inf), default=record.duration / 20.0)
+    slowest = max((s.period for s in (*record.inputs, *record.outputs) if s.hold != 'zoh'),
+                  default=record.duration / 20.0)
     highest = _NYQUIST * np.pi / slowest
     wanted = max(_REACH * 0.5 * tau * band, _LEAST)
     product = min(wanted, 0.5 * tau * highest)
