@@ -8,13 +8,13 @@ from scipy.linalg import expm, solve_discrete_are
 from ctsid_core.likelihood.noise_gain import (
     _filtering,
     continuous_gain,
-    led_through,
     noise_gain,
     predicted_states,
     states_with_gaps,
     uniform,
 )
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.linear.matrix_functions import led_through
 from ctsid_core.signals.record import Record, Signal
 
 STEP = 0.02

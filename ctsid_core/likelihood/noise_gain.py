@@ -27,7 +27,7 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit, Residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrix_functions import chain, exponentials
+from ctsid_core.linear.matrix_functions import chain, exponentials, led_through
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.whiteness import cell
 
@@ -173,32 +173,6 @@ def states_with_gaps(F: Array, L: Array, C: Array, v: Array, known: Mask, count:
         x0 = np.linalg.lstsq(told.reshape(-1, n), (v[rows] - states[:, :, 0] @ C.T).ravel(),
                              rcond=1e-9)[0]
     return led_through(moves, pushes[:, :, np.newaxis], x0[:, np.newaxis])[:, :, 0]
-
-
-def led_through(moves: Array, pushes: Array, start: Array) -> Array:
-    """
-    Return x of x_(k+1) = moves_k x_k + pushes_k, (N, n, w), of the first one, (n, w).
-
-    In as many blocks as each is long, all of them at a time: what each makes of its start first.
-    """
-    count, n, width = pushes.shape
-    long = max(int(np.sqrt(count)), 1)
-    blocks = -(-count // long)
-    spare = ((0, blocks * long - count), (0, 0), (0, 0))
-    M, d = (np.pad(x, spare).reshape(blocks, long, n, -1).swapaxes(0, 1) for x in (moves, pushes))
-    x = np.zeros((blocks, n, width + n)) + np.eye(n, width + n, k=width)
-    for move, push in zip(M, d, strict=True):
-        x = move @ x
-        x[:, :, :width] += push
-    starts = np.empty((blocks, n, width))
-    for own, made in zip(starts, x, strict=True):
-        own[:] = start
-        start = made[:, :width] + made[:, width:] @ start
-    found = np.empty((long, blocks, n, width))
-    for own, move, push in zip(found, M, d, strict=True):
-        own[:] = starts
-        starts = move @ starts + push
-    return found.swapaxes(0, 1).reshape(-1, n, width)[:count]
 
 
 def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight: Array,

@@ -122,6 +122,32 @@ def chain(factor: Array | ComplexArray, push: Array | ComplexArray) -> ComplexAr
     return z
 
 
+def led_through(moves: Array, pushes: Array, start: Array) -> Array:
+    """
+    Return x of x_(k+1) = moves_k x_k + pushes_k, (N, n, w), of the first one, (n, w).
+
+    In as many blocks as each is long, all of them at a time: what each makes of its start first.
+    """
+    count, n, width = pushes.shape
+    long = max(int(np.sqrt(count)), 1)
+    blocks = -(-count // long)
+    spare = ((0, blocks * long - count), (0, 0), (0, 0))
+    M, d = (np.pad(x, spare).reshape(blocks, long, n, -1).swapaxes(0, 1) for x in (moves, pushes))
+    x = np.zeros((blocks, n, width + n)) + np.eye(n, width + n, k=width)
+    for move, push in zip(M, d, strict=True):
+        x = move @ x
+        x[:, :, :width] += push
+    starts = np.empty((blocks, n, width))
+    for own, made in zip(starts, x, strict=True):
+        own[:] = start
+        start = made[:, :width] + made[:, width:] @ start
+    found = np.empty((long, blocks, n, width))
+    for own, move, push in zip(found, M, d, strict=True):
+        own[:] = starts
+        starts = move @ starts + push
+    return found.swapaxes(0, 1).reshape(-1, n, width)[:count]
+
+
 def exponentials(A: Array, h: Array, count: int) -> list[Array]:
     """
     Return h^j phi_j(A h) for j = 0 ... count: e^(A h) and its repeated integrals, each (K, n, n).

@@ -18,12 +18,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ctsid_core.likelihood.noise_gain import led_through
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream, slowest
 from ctsid_core.likelihood.state_space import matrices_of, mean_around
-from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.matrix_functions import exponentials, led_through
 from ctsid_core.linear.types import Array, Mask, Matrices
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Signal
