@@ -149,13 +149,9 @@ def price(samples: Samples) -> float:
 def choose(found: dict[int, Tried]) -> int:
     """Return the smallest order that no larger one beats, by independent samples."""
     orders = sorted(found)
-    chosen = orders[-1]
-    for n in orders:
-        own = found[n]
-        if not any(criterion(own, found[m]) > 0.0 and not imitates(found[m], own)
-                   for m in orders if m > n):
-            chosen = n
-            break
+    chosen = next(n for n in orders if not any(
+        criterion(found[n], found[m]) > 0.0 and not imitates(found[m], found[n])
+        for m in orders if m > n))
     return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen]))
 
 
