@@ -68,6 +68,7 @@ from ctsid_core.search.tried import (
     explains,
     imitates,
     price,
+    roughly,
     tried,
 )
 from ctsid_core.settings import Settings, longest_sought, slowest_sought
@@ -87,7 +88,6 @@ _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
 _PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
 
-Other = tuple[float, Tried]              # advantage over the choice, and the model
 Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
 
 
@@ -127,7 +127,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
     order = settings.order or _neighbour(found, counted)
-    others = [(_advantage(found[order], one), one)
+    others = [(_advantage(found[order], one), one)      # over the choice, and the model
               for n, one in found.items() if n != order and not imitates(one, found[order])]
     notes = _left_out(found, order, settings, effort)
     best, fewer = found[order], choose(found) if settings.order else order
@@ -141,7 +141,10 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return solved
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
-        others, best = _with(others, best, with_D), with_D
+        if with_D is not best:              # the last choice may be right as well
+            more = advantage(with_D, best)
+            others = [*((gain + more, one) for gain, one in others), (more, best)]
+        best = with_D
     cleaner = without_outliers(part, samples, best.fit)
     if cleaner is not part:
         part = cleaner
@@ -255,9 +258,9 @@ def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Fr
         if np.min(known.counts.sum(axis=0)) > found[chosen].parameters:
             thin, rest = known.thinned(SEARCHED), {}
             for n, one in up_to.items():
-                start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-                rest[n] = replace(tried(thin, climb_roughly(thin, start, free), free, one.pointed),
-                                  drifting=one.drifting, found=one.found)
+                model = one.fit.model
+                rest[n] = replace(roughly(thin, model.poles, model.delay, free, one.fit),
+                                  pointed=one.pointed, drifting=one.drifting, found=one.found)
             if choose(rest) < chosen:
                 return known, {n: climbed(known, one, free) for n, one in rest.items()}
     return samples, found
@@ -324,14 +327,6 @@ def _advantage(one: Tried, other: Tried) -> float:
     matters = np.maximum(one.power, other.power) > LEAST ** 2
     return min(advantage(one, other),
                _in_colour(one, matters, AKAIKE) - _in_colour(other, matters, AKAIKE))
-
-
-def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
-    """Return the models that might be right beside the next choice, the last one among them."""
-    if after is before:
-        return others
-    more = advantage(after, before)
-    return [*((gain + more, one) for gain, one in others), (more, before)]
 
 
 def _rivals(others: list[tuple[float, ModalModel]]) -> tuple[tuple[float, ModalModel], ...]:
