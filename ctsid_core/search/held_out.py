@@ -93,7 +93,8 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         if own is None:
             return _nothing(samples, _NO_MODEL)
         there, everywhere = (_motion(part, fit) for part in (late, samples))
-        return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
+        error = np.sqrt(mean_square(residuals(late, own)))
+        return HeldOut(error, np.zeros(samples.ny) if refit is not None else
                        _expected(early, late, own, free),
                        np.any(there > 0.5 * everywhere, axis=0))
     except np.linalg.LinAlgError:
@@ -161,7 +162,3 @@ def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
     counts = early.counts.sum(axis=0)
     return np.asarray(np.sqrt(squares / np.maximum(late.counts.sum(axis=0), 1.0) * counts
                               / independent(residuals(early, own))))
-
-
-def _rms(samples: Samples, fit: Fit) -> Array:
-    return np.asarray(np.sqrt(mean_square(residuals(samples, fit))))
