@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -215,7 +214,11 @@ def _even(record: RecordSamples) -> RecordSamples:
     times = _rarest(record).times
     if len(times) < 2:
         return record
-    moved = partial(_moved, times=times, to=_evened(times))
+    even = _evened(times)
+
+    def moved(stamps: Array) -> Array:
+        beyond = stamps - np.clip(stamps, times[0], times[-1])
+        return np.asarray(np.interp(stamps, times, even) + beyond)
     inputs = tuple(replace(s, time=moved(s.time)) for s in record.inputs)
     stamps = np.unique(np.concatenate([s.time for s in inputs]))
     return replace(record, inputs=inputs, drives=tuple(Drive.of(s) for s in inputs),
@@ -230,12 +233,6 @@ def _between(stamps: Array, times: Array, even: Array) -> Array:
     low, high = ends[place], ends[place + 1]
     return np.where(times == low, times, np.clip(
         even, low + _JITTER * (times - low), high - _JITTER * (high - times)))
-
-
-def _moved(stamps: Array, times: Array, to: Array) -> Array:
-    """Return stamps where those between samples go, as these go from their times to others."""
-    beyond = stamps - np.clip(stamps, times[0], times[-1])
-    return np.asarray(np.interp(stamps, times, to) + beyond)
 
 
 def _evened(times: Array) -> Array:
