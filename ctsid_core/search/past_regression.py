@@ -35,7 +35,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Free
-from ctsid_core.likelihood.pole_steps import bounded
+from ctsid_core.likelihood.pole_steps import bounded, in_order
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
@@ -217,7 +217,7 @@ def _modes(A: Array, B: Array, C: Array,
     values, right = np.linalg.eig(A)
     kept = np.flatnonzero(values.imag >= 0.0)
     poles = bounded(values[kept].astype(complex), free.limit, free.fastest)
-    order = np.lexsort((poles.real, np.abs(poles), poles.imag > 0.0))
+    order = in_order(poles)
     b = np.linalg.solve(right, B.astype(complex))[kept]
     c = (C @ right)[:, kept] * (1.0 + (poles.imag > 0.0))
     real = poles.imag == 0.0
