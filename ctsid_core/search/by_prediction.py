@@ -330,14 +330,25 @@ def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices 
     step = held_interval(samples)
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
-        A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, limit)
+        moved, held = _from_sample_to_sample(m.A, K, m.C, step)
+        found = _logarithm(moved) / step
+        if np.abs(found.imag).max() > 1e-6 * np.abs(found).max():
+            return None                        # of no plant whose numbers are real
+        A = found.real
+        values, right = np.linalg.eig(A)
+        beyond = values.real > limit
+        if beyond.any():
+            values = np.where(beyond, limit + 1j * values.imag, values)
+            A = np.real(right @ np.diag(values) @ np.linalg.inv(right))
         transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
+        back = np.linalg.solve(integral, held)
+        drive = back @ K                       # of the innovations
         gain = continuous_gain(A, m.C, np.linalg.solve(transition, integral @ drive), step)
         if not np.all(np.linalg.eigvals(A - gain @ m.C).real < 0.0):
             return None                        # it predicts at these samples' rate, at no other
     except np.linalg.LinAlgError:
         return None
-    return replace(m, A=A, B=B, D=m.D[:, :nu], K=gain, x_trim=drive @ m.y_trim,
+    return replace(m, A=A, B=back @ m.B[:, :nu], D=m.D[:, :nu], K=gain, x_trim=drive @ m.y_trim,
                    start=np.zeros_like(m.start))
 
 
@@ -350,18 +361,6 @@ def _from_sample_to_sample(A: Array, K: Array, C: Array, step: float) -> tuple[A
     """Return the plant's transition, and what a constant makes of the predictor's states in it."""
     transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
     return transition + integral @ K @ C, integral
-
-
-def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
-               limit: float) -> tuple[Array, Array, Array]:
-    """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
-    moved, integral = _from_sample_to_sample(A, K, C, step)
-    found = _logarithm(moved) / step
-    if np.abs(found.imag).max() > 1e-6 * np.abs(found).max():
-        raise np.linalg.LinAlgError('a transition of the plant has no real logarithm')
-    plant = _limited(found.real, limit)
-    back = np.linalg.solve(exponentials(plant, np.array([step]), 1)[1][0], integral)
-    return plant, back @ B, back @ K
 
 
 def _logarithm(transition: Array) -> ComplexArray:
@@ -421,16 +420,6 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
             errors.append(np.sqrt(np.mean(e ** 2, axis=0)) / motion)
     found = np.array(errors)
     return np.where(np.isfinite(found), found, np.inf)
-
-
-def _limited(A: Array, limit: float) -> Array:
-    """Return A with no real part of a pole beyond a limit."""
-    values, right = np.linalg.eig(A)
-    beyond = values.real > limit
-    if not beyond.any():
-        return A
-    values = np.where(beyond, limit + 1j * values.imag, values)
-    return np.asarray(np.real(right @ np.diag(values) @ np.linalg.inv(right)))
 
 
 def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
