@@ -127,7 +127,10 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
-    best = min(known, key=lambda one: _as_used(one, joint))
+    def as_used(one: PredictionFit) -> float:
+        return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
+
+    best = min(known, key=as_used)
     if best is straight:                    # its dead times were compared with none
         orders[best.found.fit.model.n] = best.found
     else:
@@ -138,12 +141,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
         # Far ahead a dead time may show that hardly does one sample ahead.
         if other is not None:
             known = [other, *(one for one in known if one is not best or needed is not one.found)]
-            best = min(other, best, key=lambda one: _as_used(one, joint))
+            best = min(other, best, key=as_used)
     return replace(best, orders=orders, others=tuple(one for one in known if one is not best))
-
-
-def _as_used(one: PredictionFit, joint: Samples) -> float:
-    return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
 
 
 def _begun(joint: Samples, starts: dict[int, Start],
@@ -259,11 +258,10 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     for _ in range(_HALVINGS):
         best = min((best / step, best, best * step), key=at)
         step = np.sqrt(step)
-    if not np.isfinite(at(best)):
-        return None
-    with suppress(np.linalg.LinAlgError):
-        fit = fit_at(joint, known[best][1], delay, free)
-        return fit if fit.cost < one.found.fit.cost else None
+    if np.isfinite(at(best)):
+        with suppress(np.linalg.LinAlgError):
+            fit = fit_at(joint, known[best][1], delay, free)
+            return fit if fit.cost < one.found.fit.cost else None
     return None
 
 
