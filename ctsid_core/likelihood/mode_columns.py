@@ -161,14 +161,11 @@ def evaluation_work(samples: Samples, modes: int, *, slopes: bool = True,
 def _tables(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape,
             number: Iterator[int]) -> tuple[list[Array], Array]:
     """Return the columns of each stream as rows, outputs below, and the first inputs."""
-    times = record.streams[0].times if len(record.streams) == 1 else \
-        np.concatenate([s.times for s in record.streams])
+    times = np.concatenate([s.times for s in record.streams])
     rows, first = _rows(record, poles, delay, shape, times)
-    size, found, place = shape.width(len(delay)), [], 0
+    found, place = [], 0
     for s in record.streams:
-        both = rows[:, place:place + len(s.times)]
-        if len(record.streams) > 1:
-            both = np.concatenate((both[:size], s.y.T))
+        both = np.concatenate((rows[:, place:place + len(s.times)], s.y.T))
         place += len(s.times)
         found.append(both if next(number) == len(s.times) else triangle(both.T).T)
     return found, first
@@ -176,17 +173,11 @@ def _tables(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Sha
 
 def _rows(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape,
           times: Array) -> tuple[Array, Array]:
-    """
-    Return the columns as rows, those of the output below, and the first inputs.
-
-    All are written into one table, for records of millions of samples; the output's only where
-    there is one stream.
-    """
+    """Return the columns as rows of one table, and the first inputs."""
     steps = steps_of(record.drives, delay, record.start, times)
     since, first, wide = times - record.start, shape.real, len(delay) + 1
-    y = record.streams[0].y.T
     inputs = (steps.inputs, steps.rates)[:shape.direct + shape.slopes]
-    rows = np.empty((shape.width(len(delay)) + len(y), len(times)))
+    rows = np.empty((shape.width(len(delay)), len(times)))
     place = 0
     for kind in (poles[:first].real, poles[first:]):
         if not len(kind):
@@ -202,8 +193,6 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape
         rows[place:place + wide - 1] = one
         place += wide - 1
     rows[place] = 1.0
-    if len(record.streams) == 1:
-        rows[place + 1:] = y
     return rows, steps.first
 
 
