@@ -9,7 +9,6 @@ import numpy as np
 
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
-from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
@@ -146,10 +145,8 @@ def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:
 
 def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
     """Return the trim of the states and of all outputs of a record, given its own model."""
-    whole, y = part.whole, list(part.y)
-    level = np.zeros(whole.ny) if len(y) == whole.ny else \
-        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = m.y_trim + part.y_level - m.D @ part.u_level
+    level = np.concatenate([s.values.mean(axis=0) for s in part.whole.outputs])
+    level[list(part.y)] = m.y_trim + part.y_level - m.D @ part.u_level
     return m.x_trim - m.B @ part.u_level, level
 
 
@@ -174,12 +171,6 @@ def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
         A=m.A, B=B, C=C, D=D, K=K, delay=delay, x_trim=drift, y_trim=level, noise=noise,
         input_names=whole.input_names, output_names=whole.output_names,
         input_units=whole.input_units, output_units=whole.output_units)
-
-
-def _spent(effort: Effort) -> str:
-    """Return what the budget has left out at the end, in words."""
-    return (f'the budget of {effort.budget:.3g} s is spent; not asked, or in part, is '
-            f'{", ".join(effort.left_out)}; raise `budget`') if effort.left_out else ''
 
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
@@ -242,14 +233,14 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
               changing: tuple[Change, Drift],
               seen: tuple[tuple[Excitation, ...], Array], model: StateSpace, moving: StateSpace,
               deviation: Array, curves: Array, lead: Array, apart: Array) -> Evidence:
-    part, (change, drift) = solution.part, changing
-    last = part.parts[part.last]
+    part, power, (change, drift) = solution.part, solution.fit.power, changing
+    last, effort = part.parts[part.last], solution.samples.effort
     whole = last.whole
 
     def everywhere(values: Array) -> Array:
         return _spread_out(values, last.y, whole.ny)
 
-    fitted: Array = np.sqrt(solution.samples.mean(solution.fit.power))
+    fitted: Array = np.sqrt(solution.samples.mean(power))
     error, coloured = fitted, np.sqrt(coloured_power(errors))
     if solution.by_prediction:
         error = solution.errors_ahead[AHEAD]
@@ -274,11 +265,14 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=stuck_outputs(solution, moving),
         expected=everywhere(unseen.expected), untested=unseen.why,
-        spent=_spent(solution.samples.effort),
+        spent=f'the budget of {effort.budget:.3g} s is spent; not asked, or in part, is '
+        f'{", ".join(effort.left_out)}; raise `budget`' if effort.left_out else '',
         fitted=everywhere(fitted), driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
-        poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
+        poles=model.poles, change=change, where=_where(part, change),
+        worst=f', most of it of record {part.numbers[int(np.argmax(power.max(axis=1)))]}'
+        if part.several else '',
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         unheld=_unheld(solution, moving),
         fastest=not solution.by_prediction and at_fastest(solution.fit, solution.free),
@@ -379,13 +373,6 @@ def _where(part: Joint, change: Change) -> str:
         return f'in all of {name}'
     about = f'about {after_start(_share(part, change) * whole.recording.duration)}'
     return by_clock(about, 0.0, name) if part.several else about
-
-
-def _worst(solution: Solution) -> str:
-    """Return which of several records is explained least, in words."""
-    part, power = solution.part, solution.fit.power
-    return f', most of it of record {part.numbers[int(np.argmax(power.max(axis=1)))]}' \
-        if part.several else ''
 
 
 def _share(part: Joint, change: Change) -> float:
