@@ -328,7 +328,7 @@ def two_deviations(samples: Samples, fit: Fit, free: Free, j: int, change: float
     far the others are.
     """
     model, found = fit.model, list[float]()
-    held = replace(free, delays=tuple(late and k != j for k, late in enumerate(free.delays)))
+    held = free.without((j,))
     for side in (1.0, -1.0):
         step, deviations, least, reach = 2.0 * change, 0.0, 0.0, 0.0
         room = free.longest - model.delay[j] if side > 0.0 else model.delay[j]

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
@@ -33,7 +32,7 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
         deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
         asked &= found < _SURE * deviation
     late = np.flatnonzero(asked)
-    free = _fixed(free, np.flatnonzero(free.delays & (found == 0.0)))
+    free = free.without(np.flatnonzero(free.delays & (found == 0.0)).tolist())
     count = samples.counts.sum()
     # What one costs at most, in samples that are not independent; below `least` nothing counts.
     price = float(np.log(count) * np.max(samples.counts.sum(axis=0) / best.independent))
@@ -41,7 +40,7 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
     for places in [late, *(late[k:k + 1] for k in range(len(late)) if each and len(late) > 1)]:
         if samples.effort.over or not np.any(np.array(free.delays)[places]):
             continue
-        fewer, delay = _fixed(free, places), best.fit.model.delay.copy()
+        fewer, delay = free.without(places.tolist()), best.fit.model.delay.copy()
         delay[places] = 0.0
         start = fit_at(samples, best.fit.model.poles, delay, fewer)
         other = tried(samples, climb_roughly(
@@ -52,8 +51,3 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
                 <= len(places) * float(np.log(count))):
             best, free = other, fewer
     return best, free
-
-
-def _fixed(free: Free, places: NDArray[np.intp]) -> Free:
-    """Return what is free, without the dead times of some inputs."""
-    return replace(free, delays=tuple(f and k not in places for k, f in enumerate(free.delays)))
