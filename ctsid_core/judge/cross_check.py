@@ -142,8 +142,7 @@ def _scale(model: StateSpace, bands: Mapping[int, Array]) -> Array:
     """Return one over the size of each output, by all inputs in their bands; 0 if it has none."""
     power = sum((np.mean(np.abs(model.frequency_response(omega)[:, :, j]) ** 2, axis=0)
                  for j, omega in bands.items()), np.zeros(model.ny))
-    return np.asarray(np.where(power > 0.0, 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0)),
-                               0.0))
+    return np.asarray(1.0 / np.sqrt(np.where(power > 0.0, power, np.inf)))
 
 
 def _differences(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
