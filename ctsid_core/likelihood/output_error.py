@@ -99,8 +99,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough, slopes=slopes)
     power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
     if near is not None and (near.model.poles.imag > 0.0).tolist() == (poles.imag > 0.0).tolist():
-        m = near.model
-        start = ModalModel(poles, m.b, m.c, m.x0, m.D, m.y0, delay)
+        start = replace(near.model, poles=poles, delay=delay)
     else:
         start = free_start(samples, poles, delay, columns, free)
     return _solved(samples, start, columns, free, power)
