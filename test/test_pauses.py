@@ -17,7 +17,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
-from ctsid_core.judge.motion import motion_within
+from ctsid_core.likelihood.residuals import motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker

@@ -31,9 +31,9 @@ from ctsid_core.errors import DataError
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.drift import Drift
 from ctsid_core.judge.evidence import Evidence
-from ctsid_core.judge.motion import motion_ahead, motion_within
 from ctsid_core.judge.rules import change_note, judge
 from ctsid_core.likelihood.output_error import Free
+from ctsid_core.likelihood.residuals import motion_ahead, motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json

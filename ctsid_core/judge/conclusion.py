@@ -16,7 +16,6 @@ from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
-from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import (
     NONE,
     UNCORRELATED,
@@ -33,6 +32,7 @@ from ctsid_core.likelihood.residuals import (
     by_output,
     coloured_power,
     driven,
+    motion_ahead,
     residuals,
     white_part,
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The errors of a simulation at the samples, and how many of them are independent."""
+"""The errors of a simulation at the samples, how many are independent, and the motion beside."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Fit, Residuals, errors_of
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.types import Array
 
 _SMALL = 0.05         # autocorrelation below which the sum over lags ends
 _LAGS = 20            # of an autoregression of errors, at most, ...
 _FEWEST = 10          # ... with so many samples for each
+_MOTION = 10          # parts of each record, within which motion counts
 _RUN = 8              # samples at least, that tell how much errors vary within a short time
 
 
@@ -134,3 +135,40 @@ def mean_square(errors: Residuals) -> Array:
 def coloured_power(errors: Residuals) -> Array:
     """Return the mean square of what is not white noise, (ny,)."""
     return np.asarray(np.maximum(mean_square(errors) - white_part(errors) ** 2, 0.0))
+
+
+def motion_within(samples: Samples, errors: Residuals) -> Array:
+    """
+    Return the rms of what a model moves around its mean in a tenth of a record, (ny,).
+
+    One large step makes most of the standard deviation of a window, and errors of all that moves
+    besides look small over it.
+    """
+    squares = np.zeros(samples.ny)
+    for record, own in zip(samples.records, errors, strict=True):
+        edges = np.linspace(*record.span, _MOTION + 1)[1:-1]
+        for s, e in zip(record.streams, own, strict=True):
+            for y in np.split(s.y - e, np.searchsorted(s.times, edges)):
+                if len(y):
+                    squares[s.channels] += len(y) * np.var(y, axis=0)
+    return np.asarray(np.sqrt(squares / samples.counts.sum(axis=0)))
+
+
+def motion_ahead(record: RecordSamples, errors: tuple[Array, ...], seconds: float) -> Array:
+    """
+    Return the rms of what a model moves by in so much time, over the motion, (ny,).
+
+    A prediction of the next hundredth of a second is right to 90 % for what hardly moves in so
+    short a time. Infinite where that cannot be told: in a shorter record, or of an output that
+    does not move.
+    """
+    found = []
+    for s, e in zip(record.streams, errors, strict=True):
+        now = s.times <= record.end - seconds
+        for y, measured in zip((s.y - e).T, s.y.T, strict=True):
+            if not now.any() or not np.ptp(measured) > 0.0:
+                found.append(np.inf)
+                continue
+            moved = np.interp(s.times[now] + seconds, s.times, y) - y[now]
+            found.append(max(float(np.sqrt(np.mean(moved ** 2)) / np.std(measured)), 1e-300))
+    return np.array(found)
