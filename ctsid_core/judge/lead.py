@@ -20,7 +20,6 @@ import numpy as np
 from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.model.modal import Drive
 from ctsid_core.search.by_order import SEARCHED, search_orders
 from ctsid_core.search.solution import NEARLY
 from ctsid_core.search.tried import (
@@ -133,8 +132,6 @@ def _with_fewer(poles: ComplexArray, direct: bool) -> Iterator[tuple[ComplexArra
 
 def _earlier(samples: Samples, by: float) -> Samples:
     """Return samples with all stamps of the inputs earlier, as long as inputs are known."""
-    inputs = [tuple(replace(s, time=s.time - by) for s in r.inputs) for r in samples.records]
     return replace(samples, records=tuple(
-        replace(r, inputs=own, drives=tuple(Drive.of(s) for s in own))
-        for r, own in zip(samples.records, inputs, strict=True))).between(
-            [(r.start, r.end - by) for r in samples.records])
+        replace(r, inputs=tuple(replace(s, time=s.time - by) for s in r.inputs))
+        for r in samples.records)).between([(r.start, r.end - by) for r in samples.records])

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from ctsid_core.linear.types import Array, Mask, Places
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.record import Record, Signal, channel_slices
+
+_DRIVES: WeakKeyDictionary[Signal, Drive] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +51,16 @@ class RecordSamples:
     start: float  # where its states begin [s]
     end: float
     streams: tuple[Stream, ...]
-    drives: tuple[Drive, ...]  # the inputs as polynomials
     span: tuple[float, float]  # of the recording that it is all of, or a part of [s]
     recording: int             # the number of that
+
+    @cached_property
+    def drives(self) -> tuple[Drive, ...]:
+        """The inputs as polynomials: of each made once, for all samples that have it."""
+        for s in self.inputs:
+            if s not in _DRIVES:
+                _DRIVES[s] = Drive.of(s)
+        return tuple(_DRIVES[s] for s in self.inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +192,5 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
             recordings.append(whole)
         span = (first, record.end) if whole is record else (whole.start, whole.end)
         found.append(RecordSamples(record.inputs, first, record.end, tuple(streams),
-                                   tuple(Drive.of(s) for s in record.inputs), span,
-                                   recordings.index(whole)))
+                                   span, recordings.index(whole)))
     return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())

@@ -31,7 +31,6 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
-from ctsid_core.model.modal import Drive
 from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tried
 from ctsid_core.signals.record import Signal
 
@@ -107,8 +106,7 @@ def _with_time(samples: Samples) -> Samples:
         line = np.array([[-0.5], [0.5]]) * (max(
             _like_time(s, start, end) for s in r.inputs) < _LIKE)
         more.append(Signal(start + np.array([0.0, length]), line, 'linear'))
-        records.append(replace(r, inputs=(*r.inputs, *more),
-                               drives=(*r.drives, *map(Drive.of, more))))
+        records.append(replace(r, inputs=(*r.inputs, *more)))
     return replace(samples, records=tuple(records), nu=2 * samples.nu + 1)
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
-from ctsid_core.model.modal import Drive
 from ctsid_core.search.tried import SEARCH, Tried, price, roughly
 from ctsid_core.settings import Hold
 from ctsid_core.signals.record import channel_slices
@@ -73,10 +72,6 @@ def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,
 
 def _held(samples: Samples, place: int, hold: Hold) -> Samples:
     """Return the samples with another hold of one of the input signals."""
-    records = []
-    for r in samples.records:
-        signal = replace(r.inputs[place], hold=hold)
-        records.append(replace(
-            r, inputs=(*r.inputs[:place], signal, *r.inputs[place + 1:]),
-            drives=(*r.drives[:place], Drive.of(signal), *r.drives[place + 1:])))
-    return replace(samples, records=tuple(records))
+    return replace(samples, records=tuple(replace(r, inputs=tuple(
+        replace(s, hold=hold) if k == place else s for k, s in enumerate(r.inputs)))
+        for r in samples.records))

@@ -23,7 +23,6 @@ from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream, slowes
 from ctsid_core.likelihood.state_space import matrices_of, mean_around
 from ctsid_core.linear.matrix_functions import exponentials, led_through
 from ctsid_core.linear.types import Array, Mask, Matrices
-from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead that predictions go
@@ -41,8 +40,9 @@ Lost = list[list[Mask]]      # rows of the own past that were lost, of each reco
 def with_own_past(samples: Samples) -> Samples:
     """Return the samples with the outputs, held from each to the next, as further inputs."""
     even = [_even(_as_rare(r)) for r in _before_inputs(samples).records]
-    return replace(samples, nu=samples.nu + samples.ny, records=tuple(_beside(r, r.inputs, [
-        Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams]) for r in even))
+    return replace(samples, nu=samples.nu + samples.ny, records=tuple(
+        replace(r, inputs=(*r.inputs, *(Signal(*carried_on(s.times, s.y), 'zoh')
+                                        for s in r.streams))) for r in even))
 
 
 def after_samples(joint: Samples) -> Samples:
@@ -78,8 +78,8 @@ def foretold(joint: Samples, fit: Fit, lost: Lost) -> Samples:
         replace(s, times=past.time[rows], y=past.values[rows])
         for s, past, rows in zip(r.streams, _past(r), own, strict=True)))
         for r, own in zip(joint.records, lost, strict=True)))
-    return replace(joint, records=tuple(
-        _beside(r, r.inputs[:-len(r.streams)], _told(m, m.B[:, nu:], r, own, errors))
+    return replace(joint, records=tuple(replace(r, inputs=(
+        *r.inputs[:-len(r.streams)], *_told(m, m.B[:, nu:], r, own, errors)))
         for r, own, errors in zip(joint.records, lost, residuals(there, fit), strict=True)))
 
 
@@ -118,13 +118,6 @@ def _told(m: Matrices, K: Array, record: RecordSamples, lost: Sequence[Mask],
 
 def _past(record: RecordSamples) -> tuple[Signal, ...]:
     return record.inputs[-len(record.streams):]
-
-
-def _beside(record: RecordSamples, inputs: tuple[Signal, ...],
-            past: Sequence[Signal]) -> RecordSamples:
-    """Return a record with its inputs, and the own past beside them."""
-    return replace(record, inputs=(*inputs, *past), drives=(
-        *record.drives[:len(inputs)], *(Drive.of(s) for s in past)))
 
 
 def held_interval(joint: Samples) -> float:
@@ -221,9 +214,8 @@ def _even(record: RecordSamples) -> RecordSamples:
         return np.asarray(np.interp(stamps, times, even) + beyond)
     inputs = tuple(replace(s, time=moved(s.time)) for s in record.inputs)
     stamps = np.unique(np.concatenate([s.time for s in inputs]))
-    return replace(record, inputs=inputs, drives=tuple(Drive.of(s) for s in inputs),
-                   streams=tuple(replace(s, times=_between(
-                       stamps, moved(s.times), _evened(s.times))) for s in record.streams))
+    return replace(record, inputs=inputs, streams=tuple(replace(s, times=_between(
+        stamps, moved(s.times), _evened(s.times))) for s in record.streams))
 
 
 def _between(stamps: Array, times: Array, even: Array) -> Array:
