@@ -27,13 +27,7 @@ from ctsid_core.bases.bandwidth import choose_nmax  # noqa: E402
 from ctsid_core.bases.hermite import project_record  # noqa: E402
 from ctsid_core.linear.types import Matrices  # noqa: E402
 from ctsid_core.subspace.ct_pbsid import laguerre_levels, reach, to_continuous  # noqa: E402
-from ctsid_core.subspace.hd_pbsid import (  # noqa: E402
-    Levels,
-    Tuning,
-    realise,
-    regress,
-    stack_levels,
-)
+from ctsid_core.subspace.hd_pbsid import Levels, Tuning, realise, regress, stack_levels  # noqa: E402
 
 DURATIONS = (10.0, 20.0, 60.0, 120.0, 300.0, 600.0)     # s
 RATE = 200.0                                            # Hz

@@ -19,17 +19,7 @@ import sys
 import time
 
 from bag_fixtures import START, Sent, array, imu, make, write_mcap
-from flights import (
-    PARAMS,
-    TRUTH,
-    S,
-    at,
-    flight,
-    spoilt,
-    stamp_of,
-    write_flight,
-    write_params,
-)
+from flights import PARAMS, TRUTH, S, at, flight, spoilt, stamp_of, write_flight, write_params
 from marks import slow
 import numpy as np
 from plants import held_lag

@@ -12,14 +12,7 @@ import pytest
 from ctsid_core.likelihood import kernel
 from ctsid_core.likelihood.kernel import Shape
 from ctsid_core.likelihood.mode_columns import _layout, columns_of
-from ctsid_core.likelihood.output_error import (
-    Free,
-    _slopes,
-    climb,
-    fit_at,
-    jacobian,
-    steps_around,
-)
+from ctsid_core.likelihood.output_error import Free, _slopes, climb, fit_at, jacobian, steps_around
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.record import Record, Signal

@@ -7,16 +7,7 @@ from itertools import product
 
 from marks import slow
 import numpy as np
-from plants import (
-    PLANTS,
-    Plant,
-    jittered,
-    match,
-    noisy,
-    plant,
-    random_plant,
-    random_signal,
-)
+from plants import PLANTS, Plant, jittered, match, noisy, plant, random_plant, random_signal
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import zpk2ss

@@ -7,12 +7,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.bases.quadrature import (
-    coefficients,
-    integrate,
-    smooth_values,
-    spline_degree,
-)
+from ctsid_core.bases.quadrature import coefficients, integrate, smooth_values, spline_degree
 from ctsid_core.signals.record import Signal
 
 NMAX, START, END = 80, -0.3, 9.8

@@ -13,12 +13,7 @@ pytest.importorskip('jsonschema', reason='jsonschema is not installed')
 from schema import faults, faults_of_file, validator  # noqa: E402
 
 from ctsid_core.model import model_json  # noqa: E402
-from ctsid_core.model.estimate import (  # noqa: E402
-    Estimate,
-    OrderTried,
-    RecordShare,
-    Status,
-)
+from ctsid_core.model.estimate import Estimate, OrderTried, RecordShare, Status  # noqa: E402
 from ctsid_core.model.storage import to_json  # noqa: E402
 from ctsid_core.model.verdict import Agreement, Excitation, Grade, Verdict  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402

@@ -6,13 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
-from bag_fixtures import (
-    IMU,
-    START,
-    Sent,
-    imu,
-    write_mcap,
-)
+from bag_fixtures import IMU, START, Sent, imu, write_mcap
 from bag_fixtures import flight as flight_bag
 from flights import flight, spoilt
 import numpy as np

@@ -8,14 +8,7 @@ from io import BytesIO
 import sqlite3
 import struct
 
-from bag_fixtures import (
-    bare,
-    flight,
-    numbers,
-    rows,
-    write_rosbag2,
-    written,
-)
+from bag_fixtures import bare, flight, numbers, rows, write_rosbag2, written
 from marks import slow
 from mcap.exceptions import McapError
 from mcap.records import Message

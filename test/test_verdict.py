@@ -13,16 +13,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import (
-    Plant,
-    held,
-    held_response,
-    match,
-    noisy,
-    plant,
-    random_plant,
-    random_signal,
-)
+from plants import Plant, held, held_response, match, noisy, plant, random_plant, random_signal
 import pytest
 from verdict_cases import curved, distance, excited, nothing, steps
 

@@ -4,17 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
-from plants import (
-    PLANTS,
-    asynchronous,
-    flown,
-    held,
-    match,
-    noisy,
-    paper,
-    random_plant,
-    running,
-)
+from plants import PLANTS, asynchronous, flown, held, match, noisy, paper, random_plant, running
 from scipy.signal import butter, lfilter, sosfilt
 
 from ctsid_core import Record

@@ -47,14 +47,7 @@ from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
-from ctsid_core.search.solution import (
-    GROWS,
-    NEARLY,
-    Doubt,
-    Solution,
-    at_fastest,
-    own_delays,
-)
+from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastest, own_delays
 from ctsid_core.search.solve import free_of
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock

@@ -22,14 +22,7 @@ from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
-from ctsid_core.model.verdict import (
-    EXPLAINED,
-    UNJUDGED,
-    Excitation,
-    Grade,
-    Remedy,
-    Verdict,
-)
+from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Excitation, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN, OTHER_HOLD
 from ctsid_core.settings import Settings

@@ -21,14 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.likelihood.output_error import (
-    Fit,
-    Free,
-    Guess,
-    climb_roughly,
-    fit_at,
-    fit_states,
-)
+from ctsid_core.likelihood.output_error import Fit, Free, Guess, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tried

@@ -37,12 +37,7 @@ from ctsid_core.likelihood.output_error import (
     climb_roughly,
     fit_at,
 )
-from ctsid_core.likelihood.residuals import (
-    coloured_costs,
-    coloured_power,
-    independent,
-    residuals,
-)
+from ctsid_core.likelihood.residuals import coloured_costs, coloured_power, independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 

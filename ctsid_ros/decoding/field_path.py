@@ -16,14 +16,7 @@ import re
 from typing import Any
 
 from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION, roll_pitch_yaw
-from ctsid_ros.decoding.field_grammar import (
-    Name,
-    ParseError,
-    Range,
-    Step,
-    parse_steps,
-    path_text,
-)
+from ctsid_ros.decoding.field_grammar import Name, ParseError, Range, Step, parse_steps, path_text
 
 __all__ = ['FieldError', 'FieldPath', 'Leaf', 'Name', 'ParseError', 'Range', 'Step',
            'nearest', 'parse_field', 'path_text', 'plain', 'roll_pitch_yaw']

@@ -22,12 +22,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_ros.examples.acceptance import Limits, objection, old
 from ctsid_ros.examples.lqr import Gains, Weights, design
-from ctsid_ros.messages import (
-    decode_metadata,
-    decode_model,
-    encode_matrix,
-    encode_system_matrix,
-)
+from ctsid_ros.messages import decode_metadata, decode_model, encode_matrix, encode_system_matrix
 
 _PARAMETERS: dict[str, tuple[Any, str]] = {
     'inputs': (['torque'], 'Names of the inputs that the model must have, in this order.'),

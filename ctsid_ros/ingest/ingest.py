@@ -26,13 +26,7 @@ from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
-from ctsid_ros.ingest.header_clock import (
-    AHEAD,
-    DRIFT,
-    ON_THE_WAY,
-    REAL_TIME,
-    HeaderClock,
-)
+from ctsid_ros.ingest.header_clock import AHEAD, DRIFT, ON_THE_WAY, REAL_TIME, HeaderClock
 from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 

@@ -23,9 +23,7 @@ from ctsid_core.sequence.tracking import Tracked
 from ctsid_ros.config.channels import Config
 from ctsid_ros.config.origin import described, package_version
 from ctsid_ros.messages.making import Make, ros_message
-from ctsid_ros.messages.matrices import (
-    as_complex,
-)
+from ctsid_ros.messages.matrices import as_complex
 
 _WORDS = {None: math.nan, 'Infinity': math.inf, '-Infinity': -math.inf}  # as in model_json
 

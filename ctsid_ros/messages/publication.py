@@ -9,11 +9,7 @@ from typing import Any
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_ros.messages.interface import OUTPUTS
 from ctsid_ros.messages.making import Make, ros_message
-from ctsid_ros.messages.matrices import (
-    encode_eigenvalues,
-    encode_matrices,
-    encode_system_matrix,
-)
+from ctsid_ros.messages.matrices import encode_eigenvalues, encode_matrices, encode_system_matrix
 from ctsid_ros.messages.models import encode_model
 from ctsid_ros.messages.summary import encode_summary
 

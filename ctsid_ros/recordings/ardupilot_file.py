@@ -21,13 +21,7 @@ import numpy as np
 from ctsid_ros.decoding.table import take
 from ctsid_ros.errors import BagError, lacks_extra
 from ctsid_ros.recordings.recording import Recording
-from ctsid_ros.recordings.series import (
-    Series,
-    left_out,
-    plain_name,
-    recording,
-    sound_times,
-)
+from ctsid_ros.recordings.series import Series, left_out, plain_name, recording, sound_times
 
 MAGIC = b'\xa3\x95\x80'
 _HEAD = 3  # bytes before each message

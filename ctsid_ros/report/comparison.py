@@ -26,14 +26,7 @@ from ctsid_ros.report.drawing import MOST_MODELS, Axes, Curve, Drawing
 from ctsid_ros.report.explorer import Item, facts, series
 from ctsid_ros.report.model_page import Shown, response_sections
 from ctsid_ros.report.outputs import Part, compared_figures
-from ctsid_ros.report.tables import (
-    Table,
-    fit_words,
-    number,
-    percent,
-    plus_minus,
-    pole_text,
-)
+from ctsid_ros.report.tables import Table, fit_words, number, percent, plus_minus, pole_text
 from ctsid_ros.report.tracks import told
 from ctsid_ros.report.words import spreadsheet
 

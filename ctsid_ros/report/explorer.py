@@ -17,13 +17,7 @@ from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.interactive import figure, numbers
 from ctsid_ros.report.poles import region
-from ctsid_ros.report.responses import (
-    excited,
-    frequencies,
-    response_of,
-    response_std,
-    step_length,
-)
+from ctsid_ros.report.responses import excited, frequencies, response_of, response_std, step_length
 from ctsid_ros.report.tables import fit_words, gain_text, label, number, plus_minus, pole_text
 from ctsid_ros.report.tracks import modes_of
 from ctsid_ros.report.words import cell, printable

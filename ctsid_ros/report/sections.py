@@ -19,11 +19,7 @@ from ctsid_core.model.validation import ResidualTests
 from ctsid_core.model.verdict import Grade
 from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
-from ctsid_ros.report.responses import (
-    frequencies,
-    response_of,
-    response_std,
-)
+from ctsid_ros.report.responses import frequencies, response_of, response_std
 from ctsid_ros.report.tables import (
     Table,
     fit_words,

@@ -150,14 +150,7 @@ def _flights(store: Store, bags: Sequence[str], pattern: str) -> list[Flight]:
 
 def _tell(flights: Sequence[Flight], out: Path, args: argparse.Namespace, *, interrupted: bool
           ) -> None:
-    from ctsid_ros.batch.summary import (
-        batch_headline,
-        explained,
-        odd_ones,
-        sections,
-        table,
-        words,
-    )
+    from ctsid_ros.batch.summary import batch_headline, explained, odd_ones, sections, table, words
     from ctsid_ros.report.document import Command
     from ctsid_ros.report.page import to_html
 

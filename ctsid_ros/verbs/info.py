@@ -12,15 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ctsid_ros.report.document import Bullets, Section, to_text
 from ctsid_ros.report.overview import PAGE, lines
 from ctsid_ros.report.tables import Table, number
-from ctsid_ros.verbs.arguments import (
-    ACCEPTED,
-    add_bag,
-    add_style,
-    bag_words,
-    date,
-    named,
-    tell,
-)
+from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_style, bag_words, date, named, tell
 
 if TYPE_CHECKING:
     from ctsid_ros.recordings.excited import Stretch

@@ -25,14 +25,7 @@ from ctsid_ros.replay.results import (
     results_folder,
     write_results,
 )
-from ctsid_ros.report.document import (
-    Bullets,
-    Headline,
-    Section,
-    next_text,
-    to_markdown,
-    to_text,
-)
+from ctsid_ros.report.document import Bullets, Headline, Section, next_text, to_markdown, to_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     INTERRUPTED,

@@ -246,14 +246,7 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
     """Write the report."""
     import numpy as np
 
-    from ctsid_ros.replay.results import (
-        PAGE,
-        REPORT,
-        bag_name,
-        make_folder,
-        origin,
-        write_report,
-    )
+    from ctsid_ros.replay.results import PAGE, REPORT, bag_name, make_folder, origin, write_report
     from ctsid_ros.report.document import Headline, to_markdown
     from ctsid_ros.report.headline import repeat_section
     from ctsid_ros.report.model_page import (
