@@ -147,8 +147,6 @@ def _before(signal: Signal, record: Record, at_once: bool) -> tuple[Array, Array
     side: Literal['left', 'right'] = 'left' if at_once else 'right'
     last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
             for s in record.outputs]
-    if not all(len(s.time) for s in record.outputs):
-        return np.empty((len(times), 0)), np.diff(values, axis=0).T, 0
     outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
     return outputs, np.diff(values, axis=0).T, min(
         _PAST, len(times) // (_EACH * outputs.shape[1]))
