@@ -44,7 +44,6 @@ class Triangle:
     one: Array        # (r,): the constant 1
     y: Array          # (r, channels): the outputs
     channels: Places  # of these among all outputs
-    count: int        # number of samples of each
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +77,7 @@ class Columns:
     @cached_property
     def triangles(self) -> tuple[tuple[Triangle, ...], ...]:
         """The same, apart by what the columns are."""
-        return tuple(tuple(_triangle(*table, self.samples.nu + 1, self.layout.shape, s.channels,
-                                     len(s.times))
+        return tuple(tuple(_triangle(*table, self.samples.nu + 1, self.layout.shape, s.channels)
                            for table, s in zip(own, record.streams, strict=True))
                      for own, record in zip(self.tables, self.samples.records, strict=True))
 
@@ -196,8 +194,7 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape
     return rows, steps.first
 
 
-def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice,
-              count: int) -> Triangle:
+def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice) -> Triangle:
     """Return the columns by what they are."""
     group, real, pairs, direct, slopes = shape
     at, blocks = 0, []
@@ -213,4 +210,4 @@ def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice
     u, rates = (columns[:, at + k * (wide - 1):at + (k + 1) * (wide - 1)] if k < direct + slopes
                 else np.zeros((len(columns), wide - 1)) for k in range(2))
     return Triangle(z, dz, u, rates, columns[:, -1], y,
-                    np.arange(channels.start, channels.stop), count)
+                    np.arange(channels.start, channels.stop))

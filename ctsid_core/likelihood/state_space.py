@@ -156,17 +156,16 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
         root += root[:, late] * (times - 1.0) @ np.linalg.pinv(root[:, late]) @ root
     if free.feedthrough:
         alike = np.zeros((places.delays, width))
-        alike[:, places.poles:places.poles + places.delays] = np.diag(
-            _read_alike(samples, fit)[list(free.delays)] / np.sqrt(6.0))    # anywhere in both
+        alike[:, late] = np.diag(                                           # anywhere in both
+            _read_alike(samples, fit)[list(free.delays)] / np.sqrt(6.0))
         root = np.vstack((root, alike))
     steps = steps_around(samples, model).derivatives()
     nu, ny, pairs = samples.nu, samples.ny, np.flatnonzero(model.poles.imag > 0.0)
     n, r = model.n, len(root)
     dp = root[:, :places.poles] @ steps
-    at = places.poles
     delay = np.zeros((r, nu))
-    delay[:, np.flatnonzero(free.delays)] = root[:, at:at + places.delays]
-    at += places.delays
+    delay[:, np.flatnonzero(free.delays)] = root[:, late]
+    at = late.stop
     db = complex_of(root[:, at:at + places.b].reshape(r, -1, nu).swapaxes(0, 1),
                     model.poles).swapaxes(0, 1)
     at += places.b + len(samples.records) * places.x0
@@ -199,20 +198,21 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     for own in whole.columns.triangles:
         for t in own:
             samples.effort.check()
-            if not t.count:
+            count = len(t.one)
+            if not count:
                 continue
-            shape = len(t.channels), t.count
+            shape = len(t.channels), count
             block = slice(at, at + shape[0] * shape[1])
             at = block.stop
             turned, noise = (x.reshape(*shape, -1) for x in (rows[block] @ directions,
                                                              errors[block]))
-            seen = np.empty((t.count // 2 + 1, shape[0], turned.shape[2]), dtype=complex)
+            seen = np.empty((count // 2 + 1, shape[0], turned.shape[2]), dtype=complex)
             for k, channel in enumerate(turned):
                 samples.effort.check()
                 seen[:, k] = np.fft.rfft(channel, axis=0)
-            both: Array = np.where(np.arange(len(seen)) % (0.5 * t.count), 2.0, 1.0)
-            root = _root_of_spectra(seen @ _turned(seen) / t.count, np.fft.rfft(
-                noise[:, :, 0], axis=1).T / t.count, both, samples.effort.check)
+            both: Array = np.where(np.arange(len(seen)) % (0.5 * count), 2.0, 1.0)
+            root = _root_of_spectra(seen @ _turned(seen) / count, np.fft.rfft(
+                noise[:, :, 0], axis=1).T / count, both, samples.effort.check)
             samples.effort.check()
             moved = root @ seen
             for part in (moved.real, moved.imag):
