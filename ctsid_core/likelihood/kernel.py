@@ -28,7 +28,7 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.linear.types import Array, ComplexArray
 
 if TYPE_CHECKING:
-    from ctsid_core.likelihood.samples import RecordSamples
+    from ctsid_core.model.modal import Drive
 
 VARIABLE = 'CTSID_KERNEL'
 _NOTHING = ctypes.c_char * 0
@@ -147,10 +147,18 @@ def _at(array: NDArray[Any]) -> int:
     return ctypes.addressof(_NOTHING.from_buffer(array))
 
 
+class Timed(NamedTuple):
+    """The samples of one record: its start, its inputs, and stamps, values and first channels."""
+
+    start: float
+    drives: Sequence[Drive]
+    streams: Sequence[tuple[Array, Array, int]]
+
+
 class Kernel:
     """The kernel with the samples of records; made by `kernel_of`."""
 
-    def __init__(self, library: CDLL, records: Sequence[RecordSamples], nu: int, ny: int) -> None:
+    def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
         self._kept: list[object] = []
         self._shapes: dict[tuple[Shape, bool], int] = {}
@@ -164,9 +172,9 @@ class Kernel:
                 between, rates = d.paces
                 drives.append(_Drive(*map(self._keep, (d.stamps, d.pieces, between, rates)),
                                      len(d.stamps), d.width, len(d.pieces) - 1))
-            for s in record.streams:
-                streams.append(_Stream(self._keep(s.times), self._keep(s.y), len(s.times),
-                                       s.channels.start, s.y.shape[1], r))
+            for times, y, channel in record.streams:
+                streams.append(_Stream(self._keep(times), self._keep(y), len(times), channel,
+                                       y.shape[1], r))
         tables = ((_Record * len(rows))(*rows), (_Drive * len(drives))(*drives),
                   (_Stream * len(streams))(*streams))
         self._samples = _Samples(*(ctypes.addressof(t) for t in tables), len(rows), len(streams),
@@ -268,7 +276,7 @@ def _packed(model: ModalModel, power: Array, *more: Array) -> Array:
                            power.ravel(), *more))
 
 
-def kernel_of(records: Sequence[RecordSamples], nu: int, ny: int) -> Kernel | None:
+def kernel_of(records: Sequence[Timed], nu: int, ny: int) -> Kernel | None:
     """Return the kernel with the samples of records of nu inputs and ny outputs; None: NumPy."""
     library = _library()
     if library is None or any(len(d.pieces) > _HIGHEST for r in records for d in r.drives):

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, kernel_of
+from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, Timed, kernel_of
 from ctsid_core.linear.types import Array, Mask, Places
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.gaps import FEWEST
@@ -101,7 +101,9 @@ class Samples:
     @cached_property
     def kernel(self) -> Kernel | None:
         """The compiled kernel with these samples, where there is one."""
-        return kernel_of(self.records, self.nu, self.ny)
+        return kernel_of([Timed(r.start, r.drives, [(s.times, s.y, s.channels.start)
+                                                    for s in r.streams])
+                          for r in self.records], self.nu, self.ny)
 
     def mean(self, values: Array) -> Array:
         """Return what records and outputs have, (records, ny), over all their samples, (ny,)."""
