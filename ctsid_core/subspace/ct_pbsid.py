@@ -101,27 +101,20 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     Of `count` = p + 2 functions of pole a [rad/s]; at index m that of order count - 1 - m, with a
     row for each input and output. Too short records are left out.
     """
-    blocks = [block for record in records
-              if (block := _block(record, settings, a, count, check)).shape[2]]
+    nu, ny = records[0].nu, records[0].ny
+    delays, blocks = (*settings.delays(nu), *(0.0,) * ny), []
+    for record in records:
+        if len(at := instants(record, reach(count) / a)):
+            block = coefficients((*record.inputs, *record.outputs), at,
+                                 (record.start, record.end), a, count, delays, check)
+            blocks.append(block - block.mean(axis=2, keepdims=True) if settings.trim else block)
     check()
     z = np.concatenate(blocks, axis=2)                        # (count, nz, instants)
     scale = np.sqrt(np.mean(z ** 2, axis=(0, 2)))
     scale[scale == 0.0] = 1.0
     z /= scale[:, np.newaxis]
     compressed = triangle(z.reshape(-1, z.shape[2]).T).T
-    nu, ny = records[0].nu, records[0].ny
     return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
-
-
-def _block(record: Record, settings: Settings, a: float, count: int,
-           check: Callable[[], None]) -> Array:
-    """Return the coefficients of one record seen from its instants, (count, nz, instants)."""
-    at = instants(record, reach(count) / a)
-    if len(at) == 0:
-        return np.empty((count, record.nu + record.ny, 0))
-    z = coefficients((*record.inputs, *record.outputs), at, (record.start, record.end), a, count,
-                     (*settings.delays(record.nu), *(0.0,) * record.ny), check)
-    return z - z.mean(axis=2, keepdims=True) if settings.trim else z
 
 
 def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
