@@ -44,7 +44,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre, of_one_degree, respond
 from ctsid_core.errors import SettingsError
 from ctsid_core.linear.least_squares import svd, triangle
-from ctsid_core.linear.types import Array, ComplexArray, plain_matrices
+from ctsid_core.linear.types import Array, plain_matrices
 from ctsid_core.model.simulation import (
     Pieces,
     by_matrices,
@@ -80,26 +80,29 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int],
         filtered = filter_records(records, own, delay, trim=settings.trim,
                                   feedthrough=settings.feedthrough, check=check)
         seen = observe(filtered, settings.rank_tolerance)
+        real, imag = own.poles.real.tolist(), own.poles.imag.tolist()
+        used = settings.replace(tm_real=tuple(real), tm_imag=tuple(imag) if any(imag) else 'auto',
+                                tm_functions=own.size)
         for n in orders:
             if n >= min(own.size * ny - 1, len(seen.singular_values)):
                 continue
             A, C = dynamics(own, seen.left[:, :n])
             yield MethodModel(
                 plain_matrices(A, np.zeros((n, nu)), C, np.zeros((ny, nu))),
-                _used(settings, own, n), seen.singular_values, seen.condition, poles_only=True)
-
-
-def _used(settings: Settings, own: Chain, n: int) -> Settings:
-    imag = tuple(own.poles.imag.tolist()) if np.any(own.poles.imag) else 'auto'
-    return settings.replace(order=n, tm_real=tuple(own.poles.real.tolist()), tm_imag=imag,
-                            tm_functions=own.size)
+                used.replace(order=n), seen.singular_values, seen.condition, poles_only=True)
 
 
 def _chains(part: Joint, settings: Settings, order: int) -> list[Chain]:
     """Return the chains that the settings leave open."""
-    given = _given(settings)
-    if given is not None:
-        return [chain(given)]
+    if not isinstance(settings.tm_real, str):
+        real = np.atleast_1d(np.array(settings.tm_real, dtype=float))
+        imag = np.zeros(len(real)) if isinstance(settings.tm_imag, str) else \
+            np.atleast_1d(np.array(settings.tm_imag, dtype=float))
+        if len(real) != len(imag):
+            raise SettingsError([f'`takenaka_malmquist.poles_imag` has {len(imag)} values, '
+                                 f'`takenaka_malmquist.poles_real` {len(real)}; give one for each '
+                                 'pole, or auto'])
+        return [chain(np.asarray(real + 1j * imag, dtype=complex))]
     records = [p.record for p in part.parts]
     size = settings.tm_functions or max(
         _FUNCTIONS, 2 * -(-(settings.order or min(order, 6)) // records[0].ny))
@@ -107,20 +110,6 @@ def _chains(part: Joint, settings: Settings, order: int) -> list[Chain]:
     least = SLOWEST / part.length
     tops = sorted({max(band * fraction, least) for fraction in _FRACTIONS}, reverse=True)
     return [legendre(top / (size - 0.5), size) for top in tops]
-
-
-def _given(settings: Settings) -> ComplexArray | None:
-    """Return the pole sequence of the settings; None if it is to be found."""
-    if isinstance(settings.tm_real, str):
-        return None
-    real = np.atleast_1d(np.array(settings.tm_real, dtype=float))
-    imag = np.zeros(len(real)) if isinstance(settings.tm_imag, str) else \
-        np.atleast_1d(np.array(settings.tm_imag, dtype=float))
-    if len(real) != len(imag):
-        raise SettingsError([f'`takenaka_malmquist.poles_imag` has {len(imag)} values, '
-                             f'`takenaka_malmquist.poles_real` {len(real)}; give one for each '
-                             'pole, or auto'])
-    return np.asarray(real + 1j * imag, dtype=complex)
 
 
 @dataclass(frozen=True, eq=False)
