@@ -166,8 +166,12 @@ class Subspaces:
         slow = SLOWEST / self.projection.length
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
-        pasts = [settings.past] if settings.past else \
-            [p for p in self._pasts(n) if self._holds(p, n)][:_LENGTHS]
+        nu, tail, ones, ny = (len(rows) for rows in (
+            self.projection.u, self.projection.tail, self.projection.ones, self.projection.y))
+        needed = n // ny + 2
+        pasts = [settings.past] if settings.past else [
+            p for p in (_PASTS if needed <= _PASTS[-1] else (needed, needed + 4)) if p * ny > n
+            and len(self.projection.s) >= (p + 1) * (ny + nu + tail + max(ones, 1))][:_LENGTHS]
         return [Tuning(b, settings.gamma or _GAMMA * b, p, settings.future or p)
                 for b in shifts for p in pasts]
 
@@ -176,16 +180,6 @@ class Subspaces:
         tunings = self.tunings(n)
         pasts = sorted({t.past for t in tunings})
         return [t for t in tunings if t.past == pasts[len(pasts) // 2]][::2]
-
-    def _pasts(self, n: int) -> tuple[int, ...]:
-        needed = n // len(self.projection.y) + 2
-        return _PASTS if needed <= _PASTS[-1] else (needed, needed + 4)
-
-    def _holds(self, p: int, n: int) -> bool:
-        ny = len(self.projection.y)
-        rows = (p + 1) * (ny + len(self.projection.u) + len(self.projection.tail)
-                          + max(len(self.projection.ones), 1))
-        return p * ny > n and len(self.projection.s) >= rows
 
     def _regress(self, tuning: Tuning) -> Subspace:
         # One factorisation serves the past windows up to 6, which most searches stay within.
