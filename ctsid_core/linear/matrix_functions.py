@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgebal, dtbtrs, ztbtrs
 
 from ctsid_core.linear.types import Array, ComplexArray
@@ -203,15 +202,10 @@ def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
         functions.append((np.array(weights).T @ flat).reshape(len(h), n, n))
     for level in range(int(doublings.max(initial=0))):
         rows = np.flatnonzero(doublings > level)
-        _double(functions, rows, step)
+        old = [f[rows] for f in functions]  # copies: every new one needs all of the old ones
+        h = step[rows, np.newaxis, np.newaxis]
+        for j, f in enumerate(functions):
+            f[rows] = old[0] @ old[j] + sum(
+                (h ** (j - i) / factorial(j - i) * old[i] for i in range(1, j + 1)), np.zeros(()))
         step[rows] *= 2
     return [f * scale[:, np.newaxis] / scale for f in functions]
-
-
-def _double(functions: list[Array], rows: NDArray[np.intp], step: Array) -> None:
-    old = [f[rows] for f in functions]  # copies: every new one needs all of the old ones
-    h = step[rows, np.newaxis, np.newaxis]
-    for j, f in enumerate(functions):
-        extra = sum((h ** (j - i) / factorial(j - i) * old[i] for i in range(1, j + 1)),
-                    np.zeros(()))
-        f[rows] = old[0] @ old[j] + extra
