@@ -117,7 +117,10 @@ def filter_states(model: StateSpace, K: Array, noise: Array, times: Array, rest:
     for row in range(len(times)):
         data = np.zeros((model.ny, state.shape[1]))
         data[:, 0] = rest[row]
-        state, error = _update(steps[row] @ state, data, model.C, events[row])
+        state = steps[row] @ state
+        error = data - model.C @ state
+        state = state + sum((gain @ error[channels] for channels, gain in events[row]),   # (2)
+                            np.zeros_like(state))
         if state.shape[1] > 1:
             told += [error[channels] / size[channels] for channels, _ in events[row]]
             left = np.abs(state[:, 1:])
@@ -145,13 +148,10 @@ def _likeliest(told: Array) -> tuple[Array, Array]:
     return told * size, np.append(1.0, xi_0)
 
 
-# What a stamp brings: channels, gain on the surprise
-Event = tuple[slice, Array]
-
-
 def _events(model: StateSpace, K: Array, times: Array,
-            streams: Sequence[Stream]) -> list[list[Event]]:
-    events: list[list[Event]] = [[] for _ in times]
+            streams: Sequence[Stream]) -> list[list[tuple[slice, Array]]]:
+    """Return what each stamp brings: channels, and their gain on the innovation."""
+    events: list[list[tuple[slice, Array]]] = [[] for _ in times]
     closed = model.A - K @ model.C
     for stream in streams:
         if not len(stream.rows):
@@ -163,10 +163,3 @@ def _events(model: StateSpace, K: Array, times: Array,
         for row, gain in zip(stream.rows, mean @ K[:, stream.channels], strict=True):
             events[row].append((stream.channels, gain))
     return events
-
-
-def _update(state: Array, data: Array, C: Array, events: Sequence[Event]) -> tuple[Array, Array]:
-    # (2) for all streams of one stamp, side by side
-    error = data - C @ state
-    change = sum((gain @ error[channels] for channels, gain in events), np.zeros_like(state))
-    return state + change, error

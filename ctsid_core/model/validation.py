@@ -212,7 +212,9 @@ def predictions(model: StateSpace, record: Record,
                             'at least 1')
     times, y, streams = _samples(model, record)
     y_known, p0 = _respond(model, record, times)
-    noise = _noise(model, y[:start_rows(times, model.n)])
+    noise = np.diag(spread(y[:start_rows(times, model.n)]) ** 2)
+    if model.noise is not None and min(np.linalg.eigvalsh(model.noise), default=0) > 0:
+        noise = model.noise
     K, note = predictor_gain(model, noise, record.duration)
     found, x0 = {}, p0
     if K is None:
@@ -235,12 +237,6 @@ def predictions(model: StateSpace, record: Record,
             times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
             notes=(note,) if note else ())
     return found
-
-
-def _noise(model: StateSpace, y: Array) -> Array:
-    if model.noise is not None and min(np.linalg.eigvalsh(model.noise), default=0) > 0:
-        return model.noise
-    return np.diag(spread(y) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True)
