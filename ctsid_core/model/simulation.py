@@ -86,7 +86,13 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
 
     Raises `DataError` if an input has no sample, or `times` decreases or is not finite.
     """
-    _check_times(inputs, times)
+    for signal in inputs:
+        if not len(signal.time):
+            raise DataError(f'input {signal.names or ""} has no sample; an input is unknown '
+                            'before its first one')
+    if times.ndim != 1 or not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise DataError(f'`times` (shape {times.shape}) must be one row of finite stamps that do '
+                        'not decrease; sort them')
     if not len(times):
         return np.empty((0, len(A))), np.empty((0, B.shape[1]))
     knots = knots_between(inputs, delay, times)
@@ -104,16 +110,6 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
             x = _bounded(A, force, h) if x0 is None else \
                 by_matrices(A, np.eye(len(A)), force, h, x0[:, np.newaxis])[..., 0]
     return x[rows], u[0][rows]
-
-
-def _check_times(inputs: Sequence[Signal], times: Array) -> None:
-    for signal in inputs:
-        if not len(signal.time):
-            raise DataError(f'input {signal.names or ""} has no sample; an input is unknown '
-                            'before its first one')
-    if times.ndim != 1 or not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise DataError(f'`times` (shape {times.shape}) must be one row of finite stamps that do '
-                        'not decrease; sort them')
 
 
 def knots_between(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
