@@ -138,21 +138,14 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
     nu = sum(map(len, found[:len(inputs)]))
     lines = basis.of(np.vstack(found))
     nothing = np.empty((0, len(basis.w)), dtype=complex)
-    exact = settings.edges == 'exact'
+    exact, one = settings.edges == 'exact', Signal(np.array([start]), np.ones((1, 1)), 'zoh')
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
         u=lines[:nu], y=lines[nu:],
         tail=basis.last if exact else nothing,
-        ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
+        ones=nothing if not settings.trim else basis.ones if exact else basis.of(
+            coefficients([one], start, end, alpha, nmax, [0.0])[0]),
         unit=alpha, length=end - start)
-
-
-def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int,
-          exact: bool) -> Lines:
-    if exact:
-        return basis.ones
-    held = Signal(np.array([start]), np.ones((1, 1)), 'zoh')
-    return basis.of(coefficients([held], start, end, alpha, nmax, [0.0])[0])
 
 
 def _by_delay(record: Record,
