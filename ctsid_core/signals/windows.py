@@ -231,18 +231,11 @@ class SlidingWindow:
 
     def due(self) -> Iterator[Record]:
         """Hand out the windows that the stamps have passed, oldest first."""
-        if not self._pending and self._low <= self._check:
-            return iter(())  # asked after every push, mostly in vain
-        return self._hand_out()
-
-    def _hand_out(self) -> Iterator[Record]:
-        while True:
+        while self._pending or self._low > self._check:
             if self._pending:
                 yield self._pending.popleft()
-            elif self._low > self._check and (record := self._take(self._low)):
+            elif record := self._take(self._low):
                 yield record
-            else:
-                return
 
     def flush(self) -> Iterator[Record]:
         """Hand out all windows that the samples reach the end of: no more will come."""
