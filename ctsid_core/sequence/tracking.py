@@ -205,8 +205,7 @@ def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Arra
 def _moved(past: _Past, estimate: Estimate) -> float:
     """Return how far the poles have moved since the last model, see `Verdict.moved`."""
     model, last = estimate.model or estimate.rejected_model, past.model
-    if model is None or last is None or model.n != last.n or \
-            len(past.pole_std) != last.n or len(estimate.pole_std) != model.n:
+    if model is None or last is None or not model.n == last.n == len(estimate.pole_std):
         return np.nan
     both = np.hypot(estimate.pole_std[:, np.newaxis], past.pole_std)
     away = np.abs(model.poles[:, np.newaxis] - last.poles) / np.maximum(both, 1e-300)
