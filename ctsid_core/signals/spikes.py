@@ -97,11 +97,11 @@ def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, A
                 verdicts = [v for run in _hypotheses(first, last, len(x)) if (
                     v := _judge(channel, given, run, good, local, white)) is not None]
                 if verdicts:
-                    best = min(verdicts, key=lambda v: v.spread)
+                    _, run, far, without = min(verdicts, key=lambda v: v[0])
                     bad[wide] &= ~rechecked[wide]
                     filled[wide] = given[wide]
-                    bad[best.run] |= best.far
-                    filled[best.run] = np.where(best.far, best.without, filled[best.run])
+                    bad[run] |= far
+                    filled[run] = np.where(far, without, filled[run])
         if np.count_nonzero(bad) == before or np.count_nonzero(bad) > MOST * len(x):
             break
     return bad, filled
@@ -218,19 +218,13 @@ def _hypotheses(first: int, last: int, count: int) -> list[slice]:
     return runs
 
 
-@dataclass(frozen=True, eq=False)
-class _Verdict:
-    """Which samples of a run are corrupt, the run without them, and how well it fits then."""
-
-    run: slice
-    far: Mask
-    without: Array
-    spread: float
-
-
 def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
-           white: bool) -> _Verdict | None:
-    """Compare a run with a curve through the good samples beside it; None if none is corrupt."""
+           white: bool) -> tuple[float, slice, Mask, Array] | None:
+    """
+    Compare a run with a curve through the good samples beside it; None if none is corrupt.
+
+    Returns how far it scatters, the run, which samples are corrupt, and the run without them.
+    """
     before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
     after = run.stop + np.flatnonzero(good[run.stop:run.stop + 4 * _SIDE])
     one_sided = not white and min(len(before), len(after)) < _BESIDE
@@ -252,7 +246,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     without[run] = np.where(far, curve, x[run])
     if not (far.any() and (white or channel.sharp(x, without, run, scale))):
         return None
-    return _Verdict(run, far, without[run], float(np.max(spread)))
+    return float(np.max(spread)), run, far, without[run]
 
 
 def _curve(t: Array, x: Array, side: Places, run: slice, degree: int,
