@@ -89,7 +89,9 @@ def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float 
     records = (record,) if isinstance(record, Record) else tuple(record)
     model, covariance = estimate.model or estimate.rejected_model, estimate.covariance
     if model is None or covariance is None:
-        return Advice((), seconds, tuple(_without_model(estimate, records)))
+        first = (f'For a first model {_motion(records, "the inputs")}.',) if estimate.status in (
+            Status.NO_EXCITATION, Status.TOO_SHORT) else ()
+        return Advice((), seconds, (estimate.verdict.reason, *first))
     for one in records:
         model.check_width('input', one.nu, model.nu)
         model.check_width('output', one.ny, model.ny)
@@ -129,12 +131,6 @@ def _least(deviation: Callable[[float], float], wanted: float, low: float, high:
     if not deviation(high) <= wanted:
         return np.inf
     return float(brentq(lambda x: deviation(x) - wanted, low, high))
-
-
-def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:
-    yield estimate.verdict.reason
-    if estimate.status in (Status.NO_EXCITATION, Status.TOO_SHORT):
-        yield f'For a first model {_motion(records, "the inputs")}.'
 
 
 def _motion(records: Sequence[Record], inputs: str) -> str:
