@@ -48,10 +48,8 @@ def _spread(times: Array, values: Array) -> tuple[Array, int]:
     last = np.flatnonzero(np.append(between, True))     # of each burst
     counts = np.diff(last, prepend=-1)
     usual = int(np.median(counts))
-    if usual < 2 or len(last) < FEWEST or \
-            np.mean(np.abs(counts - usual) <= 1) < _REGULAR:
-        return times, 1
-    if not _MOVES[0] < _motion(values, last) < _MOVES[1]:
+    if usual < 2 or len(last) < FEWEST or np.mean(np.abs(counts - usual) <= 1) < _REGULAR or \
+            not _MOVES[0] < _motion(values, last) < _MOVES[1]:
         return times, 1
     arrived = times[last - counts + 1]      # all are measured before the first is stamped
     pauses = np.diff(arrived)
