@@ -268,9 +268,7 @@ class SlidingWindow:
         """
         first = self._first()
         start = self._low - self._length
-        if first is None or start < first:
-            return None
-        return self._record(start, self._low)
+        return None if first is None or start < first else self._record(start, self._low)
 
     def _examine(self, track: Samples, stamp_ns: int, values: Sequence[float]) -> bool:
         """Take or drop a sample that is not ordinary."""
@@ -282,11 +280,10 @@ class SlidingWindow:
         if not 0 < stamp_ns < STAMP_MAX:
             return track.drop('bad_stamp')
         offset = stamp_ns - self._newest
-        if stamp_ns > self._high:
+        back = track.first is not None and track.newest - stamp_ns > self._restart
+        if stamp_ns > self._high or (back and stamp_ns < self._low):
             return self._set_aside(_Stray(track, stamp_ns, tuple(values), offset))
         if stamp_ns < self._low:
-            if track.first is not None and track.newest - stamp_ns > self._restart:
-                return self._set_aside(_Stray(track, stamp_ns, tuple(values), offset))
             return track.drop('late', offset)
         self._drop_strays()
         if not track.insert(stamp_ns, values):
