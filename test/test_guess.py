@@ -540,8 +540,23 @@ def test_steps_that_wait_for_a_slow_plant_are_one_experiment(tmp_path):
                header='t [s],heater_cmd,temperature')
     found = guessed(tmp_path / 'run.csv')
     (stretch,) = found.stretches
-    assert (stretch.start, stretch.end) == pytest.approx((6000.0, 19800.0), abs=100.0)
+    # As long at rest before it as a tenth of a move is left of the answer to it
+    assert stretch.start == pytest.approx(6000.0 - 900.0 * np.log(10.0), abs=300.0)
+    assert stretch.end == pytest.approx(18000.0 + 900.0 * np.log(10.0), abs=300.0)
     assert found.config.settings.window_length == 6000.0
+
+
+def test_a_stretch_lasts_until_a_slow_plant_has_answered(tmp_path):
+    """One step of an oven, and samples every second: 63 s of an hour told a gain of 100 %."""
+    rng, time = np.random.default_rng(21), np.arange(0.0, 7200.0)
+    u = np.where((time >= 1500) & (time < 4500), 1.0, 0.0)
+    y = 20.0 + 2.0 * lagged(u, 1 / 200, 1.0) + 0.01 * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
+               header='t [s],heater_cmd,temperature')
+    answer = 200.0 * np.log(10.0)
+    for stretch, step in zip(guessed(tmp_path / 'run.csv').stretches, (1500, 4500), strict=True):
+        assert stretch.start == pytest.approx(step - answer, abs=60.0)
+        assert stretch.end == pytest.approx(step + answer, abs=60.0)
 
 
 @pytest.mark.slow

@@ -148,6 +148,16 @@ def test_several_times_are_topics_of_their_own(tmp_path):
         assert list(bag.topics) == ['b/stamp', 'b/time']
 
 
+def test_times_of_one_table_that_name_no_unit_have_one(tmp_path):
+    """A command every second, and samples at 0.5 Hz by a clock of their own: hours, not ms."""
+    path = write_csv(tmp_path / 'a.csv', {
+        't_cmd': np.arange(100.0), 'u': T[:1].repeat(100),
+        't_meas': [*(2.0005 * np.arange(50.0)), *[''] * 50], 'y': [*np.arange(50.0), *[''] * 50]})
+    assert np.ptp(stamps(path, 'a/t_cmd')) == 99e9
+    assert np.ptp(stamps(path, 'a/t_meas')) == pytest.approx(49 * 2.0005e9)
+    assert 'column t_meas name no unit and are taken as s' in notes(path)
+
+
 def test_columns_that_are_filled_in_other_rows_are_sampled_at_other_times(tmp_path):
     """As PlotJuggler and others write signals of different rates into one table."""
     often = [f'{i}' if i % 2 else '' for i in range(20)]

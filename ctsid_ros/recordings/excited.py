@@ -22,8 +22,9 @@ _MERGE = 10.0  # a shorter pause is part of an experiment; to keep it costs litt
 _AFTER = 3.0  # is added, for the response to the last move
 _SHORTEST = 5.0  # with the unit of time that is 50 samples
 _MOVE = 0.1  # of the usual size of a move: less is noise
-_MOVES = 10  # waits in a recording, at least
+_MOVES = 4  # waits in a recording, at least
 _CONTRAST = 10.0  # loud over quiet power, below which all is one experiment
+_ANSWERED = 0.1  # of what an output has moved, from where it stays: it has answered
 _FLOOR = 1e-4  # of the loud power: what is quieter counts as at rest
 _STILL = 0.3  # of the deviation where it moves fast: what keeps nearer to its mean rests
 _ALL = 0.8  # of the time: an experiment that lasts longer is all of the recording
@@ -67,9 +68,12 @@ def _usual(values: Array, weights: Array | None = None) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)]) if len(total) else 0.0
 
 
-def excited(u: Array, clock: Clock, period: float = 0.0) -> tuple[Stretch, ...]:
+def excited(u: Array, clock: Clock, period: float = 0.0,
+            outputs: Sequence[Array] = ()) -> tuple[Stretch, ...]:
     """
     Return the stretches in which an input moves much more than at rest, in order of time.
+
+    Each lasts until outputs have answered, or the input moves again.
 
     Parameters
     ----------
@@ -78,6 +82,8 @@ def excited(u: Array, clock: Clock, period: float = 0.0) -> tuple[Stretch, ...]:
     clock : Clock
     period : float, optional
         Between the samples of what answers, if that is longer than a tick [s].
+    outputs : sequence of ndarray, shape (N,), optional
+        What answers, at the ticks of the clock; NaN where not known.
 
     Returns
     -------
@@ -91,13 +97,15 @@ def excited(u: Array, clock: Clock, period: float = 0.0) -> tuple[Stretch, ...]:
         return ()
     unit = max(unit_of_time(max(clock.step, period)), pace(u, clock))
     active = _and_slow_motion(u, power > np.sqrt(loud * quiet), clock, _MERGE * unit)
-    before, found = _BEFORE * unit_of_time(clock.step), []
+    answered, slowest = _and_answers(active, clock, outputs)
+    before, found = max(_BEFORE * unit_of_time(clock.step), slowest), []
     for part in clock.parts:
-        for start, end in _merged(clock.time[part][active[part]], _MERGE * unit):
+        for start, end in _merged(clock.time[part][answered[part]], _MERGE * unit):
             low, high = clock.time[part][[0, -1]]
             inside = (clock.time >= start) & (clock.time <= end)
+            last = float(clock.time[np.flatnonzero(active & inside)[-1]])
             found.append(Stretch(max(start - before, float(low)),
-                                 min(end + _AFTER * unit, float(high)),
+                                 min(max(end, last + _AFTER * unit), float(high)),
                                  float(power[inside].mean() / quiet),
                                  float(power[inside].sum() / power.sum())))
     found = [s for s in found if s.end - s.start >= _SHORTEST * unit]
@@ -120,6 +128,27 @@ def _and_slow_motion(u: Array, active: Mask, clock: Clock, longest: float) -> Ma
             if len(known) and not active[rest[0]]:
                 found[rest] = np.std(known) > size
     return found
+
+
+def _and_answers(active: Mask, clock: Clock, outputs: Sequence[Array]) -> tuple[Mask, float]:
+    """
+    Return where an input moves or outputs still answer, and how long they do at most [s].
+
+    Until they are near where they stay. As long at rest before a move tells it from the past.
+    """
+    found, longest = active.copy(), 0
+    for part in clock.parts:
+        edges = np.flatnonzero(np.diff(active[part])) + 1
+        ticks = np.split(np.arange(part.start, part.stop), edges)
+        for rest in ticks[2 - int(active[part.start])::2]:      # after moves
+            for y in outputs:
+                known = rest[np.isfinite(y[rest])]
+                left = np.abs(y[known] - np.median(y[known[len(known) // 2:]])) \
+                    if len(known) else known
+                late = known[left > _ANSWERED * left.max(initial=0.0)] - rest[0]
+                found[rest[:late.max(initial=0)]] = True
+                longest = max(longest, int(late.max(initial=0)))
+    return found, longest * clock.step
 
 
 def _power(u: Array, clock: Clock) -> Array:

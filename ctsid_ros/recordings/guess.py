@@ -175,7 +175,7 @@ def offered(bag: Bag, survey: Survey) -> list[tuple[Pair, tuple[Stretch, ...]]]:
     BagError
         If the bag cannot be read on.
     """
-    return [(p, together([excited(p.input.held, p.clock, 1 / p.output.rate)]))
+    return [(p, together([excited(p.input.held, p.clock, 1 / p.output.rate, [p.output.smooth])]))
             for p in rank(bag, survey).pairs[:OFFERED]]
 
 
@@ -244,7 +244,8 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     others = tuple((*c.key, c.field.std) for c in ranking.found
                    if c not in inputs and c not in outputs)
     return Guess(config, pairs, pick, tuple(reasons), others,
-                 together([excited(u.held, ranking.clock, period) for u in inputs]),
+                 together([excited(u.held, ranking.clock, period, [y.smooth for y in outputs])
+                           for u in inputs]),
                  free=not (named.inputs and named.outputs),
                  doubts=(*reasons[:by_names], *beside))
 

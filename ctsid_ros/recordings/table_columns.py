@@ -28,7 +28,7 @@ from ctsid_ros.recordings.table_times import (
     constant_rate,
     find_times,
     joined_seconds,
-    read_time,
+    read_times,
     split_unit,
 )
 
@@ -88,7 +88,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     at = find_times(columns, wanted, str(path), texts)
     names = [column.name for column in columns]
     units = dict(split_unit(text, names) for text in wanted)
-    times = [read_time(columns[i], units.get(names[i], '')) for i in at]
+    times = read_times([columns[i] for i in at], units)
     series: list[Series] = []
     for number, (i, time) in enumerate(zip(at, times, strict=True)):
         end = at[number + 1] if number + 1 < len(at) else len(columns)

@@ -204,8 +204,9 @@ def _texts(texts: Mapping[str, str], names: Iterable[str]) -> list[str]:
 
 def _overlap(columns: Sequence[Column]) -> bool:
     """Whether times are of one clock."""
-    spans = [(log_ns[0], log_ns[-1]) for column in columns
-             for log_ns in (np.sort(read_time(column, '').log_ns[column.known]),)]
+    spans = [(log_ns[0], log_ns[-1])
+             for column, time in zip(columns, read_times(columns, {}), strict=True)
+             for log_ns in (np.sort(time.log_ns[column.known]),)]
     return bool(max(first for first, _ in spans) < min(last for _, last in spans))
 
 
@@ -215,24 +216,31 @@ def split_unit(text: str, names: Sequence[str] = ()) -> tuple[str, str]:
     return (name, unit) if name and unit in UNITS and text not in names else (text, '')
 
 
-def read_time(column: Column, told: str) -> Time:
+def read_times(columns: Sequence[Column], told: Mapping[str, str]) -> list[Time]:
     """
-    Return a column as times.
+    Return columns of a table as times.
+
+    Those whose unit nothing says share one: that which the one with the shortest steps tells.
 
     Parameters
     ----------
-    column : Column
-    told : str
-        The unit, if the user says it.
+    columns : sequence of Column
+    told : mapping of str
+        Units that the user says, by names of columns.
     """
+    units = [told.get(c.name) or _WORDS.get(c.unit.lower() or _suffix(c.name), '')
+             for c in columns]
+    unsaid = [c for c, unit in zip(columns, units, strict=True) if not (unit or c.is_date)]
+    guessed = _guess(min(unsaid, key=_step)) if unsaid else ''
+    return [_read(c, unit or guessed, '' if unit or c.is_date else _doubt(c, guessed))
+            for c, unit in zip(columns, units, strict=True)]
+
+
+def _read(column: Column, unit: str, note: str) -> Time:
     known = column.known
     if column.is_date:
         log_ns = np.where(known, column.values.astype(np.int64), 0)
         return Time(column.name, log_ns, True, '')
-    word = column.unit.lower() or _suffix(column.name)
-    unit, note = told or _WORDS.get(word, ''), ''
-    if not unit:
-        unit, note = _guess(column)
     values, far = np.where(known, column.values, 0), _FAR / UNITS[unit]
     log_ns = values.astype(np.int64) * UNITS[unit] if values.dtype.kind in 'iu' \
         else np.rint(np.clip(values, -far, far) * float(UNITS[unit])).astype(np.int64)
@@ -246,23 +254,39 @@ def _suffix(name: str) -> str:
     return 'us' if name == 'TimeUS' else found[1] if found else ''
 
 
-def _guess(column: Column) -> tuple[str, str]:
-    """Return the unit that the values tell, and a note on how."""
-    values = np.sort(column.values[column.known].astype(np.float64))    # rows may be in disorder
-    steps = np.diff(values)
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+def _sorted(column: Column) -> NDArray[np.float64]:
+    """Return the times in order: rows may be in disorder."""
+    return np.sort(column.values[column.known].astype(np.float64))
+
+
+def _step(column: Column) -> float:
+    """Return the median of the steps that are any."""
+    steps = np.diff(_sorted(column))
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+
+
+def _dated(column: Column) -> str:
+    """Return the unit in which times are dates, if there is one."""
+    values, step = _sorted(column), _step(column)
     middle = float(np.median(values)) if len(values) else 0.0
-    dated = [unit for unit, ns in _GUESSED.items()
-             if _CENTURY[0] < middle * ns * 1e-9 < _CENTURY[1] and 1e-7 < step * ns * 1e-9 < 1e4]
-    if dated:
-        return dated[0], ''
-    slowest = {unit: _SLOWEST * UNITS['s'] / ns for unit, ns in _GUESSED.items()}
-    unit = next((unit for unit in _GUESSED if step < slowest[unit]), 'ns')
-    strange = column.unit and column.unit.lower() not in _CLOCKS
-    if unit == 's' and step < _SURE and not strange:
-        return unit, ''
+    return next((unit for unit, ns in _GUESSED.items()
+                 if _CENTURY[0] < middle * ns * 1e-9 < _CENTURY[1]
+                 and 1e-7 < step * ns * 1e-9 < 1e4), '')
+
+
+def _guess(column: Column) -> str:
+    """Return the unit that the values tell."""
+    return _dated(column) or next((unit for unit, ns in _GUESSED.items() if _step(column)
+                                   < _SLOWEST * UNITS['s'] / ns), 'ns')
+
+
+def _doubt(column: Column, unit: str) -> str:
+    """Return a note on how the unit was guessed, if values leave room for another one."""
+    step, strange = _step(column), column.unit and column.unit.lower() not in _CLOCKS
+    if _dated(column) or unit == 's' and step < _SURE and not strange:
+        return ''
     named = f'have the unit {column.unit!r}, which is not known,' if strange else 'name no unit'
-    length = float(np.ptp(values)) * UNITS[unit] / UNITS['s'] if len(values) else 0.0
-    return unit, (f'the times of column {column.name} {named} and are taken as {unit}, for '
-                  f'they step by {step:g}: {length:.6g} s in all; if that is wrong, say --time '
-                  f'{column.name}:s (or {", ".join(list(UNITS)[1:])})')
+    length = float(np.ptp(_sorted(column))) * UNITS[unit] / UNITS['s'] if column.known.any() else 0
+    return (f'the times of column {column.name} {named} and are taken as {unit}, for they step by '
+            f'{step:g}: {length:.6g} s in all; if that is wrong, say --time {column.name}:s (or '
+            f'{", ".join(list(UNITS)[1:])})')
