@@ -843,7 +843,7 @@ def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved,
     assert verdict.reason.startswith(first)
     assert verdict.reason.endswith(' If it is so, set `x: y`.') == first.startswith('Modes')
     _, verdict = judge(replace(found, doubt=None, apart=np.full(1, known)))
-    assert ('for models of other orders that may be as right are 50 % away from it; move it'
+    assert ('for models that may be as right are 50 % away from it; move it'
             in verdict.reason) == first.startswith('Modes')
     # What is known to be wrong with the samples needs no guess.
     _, verdict = judge(replace(found, faults=('Samples are mixed; stop one.',)))

@@ -209,7 +209,7 @@ def test_what_other_orders_tell_otherwise_is_not_known(family, seed, number):
     found = identify(given.record, given.settings)
     assert np.mean(simulated(found.model or found.rejected_model, given.test)) < 75.0
     assert found.verdict.grade is not Grade.GOOD
-    assert 'models of other orders that may be as right' in found.verdict.reason
+    assert 'models that may be as right' in found.verdict.reason
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'fit'), [

@@ -16,6 +16,7 @@ from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
+from ctsid_core.judge.rounding import beside_rounding, rounding, rounding_notes
 from ctsid_core.judge.rules import (
     NONE,
     UNCORRELATED,
@@ -60,6 +61,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
 
     `sought`: of which moving inputs the dead time was looked for; empty if of none.
     """
+    coarse = rounding(solution)
+    solution = replace(solution, rivals=(*solution.rivals, *beside_rounding(solution, coarse)))
     part, fit, samples = solution.part, solution.fit, solution.samples
     effort = samples.effort
     effort.keep(0.0)
@@ -112,7 +115,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         fit=100.0 * (1.0 - verdict.error), held_out_fit=100.0 * (1.0 - verdict.held_out_error),
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
-        notes=(*part.notes, *solution.notes, *corrupt,
+        notes=(*part.notes, *solution.notes, *corrupt, *rounding_notes(solution, coarse),
                *(change_note(evidence, verdict.reason) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, evidence.doubt)) if setting not in verdict.reason),

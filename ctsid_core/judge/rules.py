@@ -244,8 +244,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
                 'faster') if e.fastest else (Remedy.EXCITE, _more(
                     one.uncertainty, alone=len(e.input_names) == 1))
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
-                f', for models of other orders that may be as right are {_percent(apart)} away '
-                'from it')
+                f', for models that may be as right are {_percent(apart)} away from it')
             yield remedy, (
                 f'The response to input {one.name}{_within(e)} has a standard deviation of '
                 f'{_percent(one.uncertainty)}{otherwise}; {cure}.')

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outputs of few values: what a model follows of their rounding it does not know of the plant."""
+
+import numpy as np
+import pytest
+
+from ctsid_core import Grade, Record, Settings, identify
+from ctsid_ros.studies.robots.linear import Held, Linear
+
+DELAY = 0.02
+
+
+def coarse(seed, levels, noise=0.0):
+    """Return a pair of poles moved to and fro, rounded to steps of a share of its deviation."""
+    rng = np.random.default_rng([seed, 99])
+    pole = 8.0 * np.exp(0.6j * np.pi)
+    plant = Linear.of_roots(1.0, (pole, pole.conjugate()), DELAY)
+    held, times = np.arange(-1.0, 20.0, 0.02), np.arange(0.003, 20.0, 0.02)
+    u = np.repeat(rng.choice([-1.0, 1.0], 70), 12 * rng.integers(1, 5, 70))[:len(held), np.newaxis]
+    u[held < 0.0] = 0.0
+    y = plant.move(Held(held, u), times)[:, 0]
+    step = float(y.std()) / levels
+    y = step * np.round(y / step + noise * rng.standard_normal(len(y)))
+    return Record.from_arrays(held, u, times, y, input_hold='zoh'), plant, step
+
+
+@pytest.mark.parametrize('levels', [1.2, 2.0])
+def test_gains_and_dead_times_are_as_unsure_as_rounding_makes_them(levels):
+    """
+    Of two-level inputs rounding repeats, and states follow it.
+
+    Responses 6 % off were told to 0.7 %, a dead time of 0.078 s for 0.02 to 2 ms.
+    """
+    omega, off, late = np.array([2.0, 4.0, 8.0]), [], []
+    for seed in range(4):
+        record, plant, step = coarse(seed, levels)
+        found = identify(record, Settings(feedthrough=False))
+        model = found.model or found.rejected_model
+        response = plant.response(omega)[:, 0, 0]
+        unsure = found.frequency_response_std(omega).magnitude[:, 0, 0]
+        off.append((np.abs(model.frequency_response(omega)[:, 0, 0] / response) - 1.0) / unsure)
+        late.append((model.delay[0] - DELAY) / found.delay_std[0])
+        notes = [note for note in found.notes if 'is measured in steps of' in note]
+        assert notes
+        assert f'steps of {step:.3g}, and the model follows these steps' in notes[0]
+    assert np.sqrt(np.mean(np.square(off))) < 1.3
+    assert np.sqrt(np.mean(np.square(late))) < 2.5
+
+
+def test_a_model_that_follows_rounding_to_five_values_is_not_good():
+    found = identify(coarse(1, 1.2)[0], Settings(feedthrough=False))
+    assert found.verdict.grade is not Grade.GOOD
+    assert 'for models that may be as right are' in found.verdict.reason
+
+
+@pytest.mark.parametrize(('levels', 'noise'), [(40.0, 0.0), (4.0, 1.0)])
+def test_rounding_below_noise_is_noise(levels, noise):
+    found = identify(coarse(1, levels, noise=noise)[0], Settings(feedthrough=False))
+    assert found.verdict.grade is Grade.GOOD
+    assert not any('is measured in steps' in note for note in found.notes)
