@@ -760,7 +760,7 @@ def test_what_points_to_a_direct_term_is_the_first_reason(seed, noise):
     record = Record.from_arrays(t_u, u, t, noisy(rng, y, noise), input_hold='zoh')
     without = identify(record, Settings(feedthrough=False))
     if not without.good:
-        assert without.verdict.reason.startswith('A mode is nearly as fast as any that is looked')
+        assert without.verdict.reason.startswith('A mode decays nearly as fast as any that is')
         assert without.verdict.reason.endswith(' If it is so, set `feedthrough: true`.')
     else:
         assert any('if so, set `feedthrough: true`' in note for note in without.notes)

@@ -396,8 +396,9 @@ def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Setti
             if grows else 'modes hardly move within the record'
         return (f'{what}, as when a controller keeps an unstable plant in place',
                 'feedthrough: false')
-    if not own.feedthrough and np.max(np.abs(poles), initial=0.0) > _AT_ONCE * free.fastest:
-        return ('a mode is nearly as fast as any that is looked for, as when outputs follow '
+    # One that goes on is no D.
+    if not own.feedthrough and np.max(-poles.real, initial=0.0) > _AT_ONCE * free.fastest:
+        return ('a mode decays nearly as fast as any that is looked for, as when outputs follow '
                 'inputs at once, and no controller acts', 'feedthrough: true')
     return None
 
