@@ -148,6 +148,17 @@ def test_several_times_are_topics_of_their_own(tmp_path):
         assert list(bag.topics) == ['b/stamp', 'b/time']
 
 
+def test_titles_without_rows_are_told(tmp_path):
+    (tmp_path / 'a.csv').write_text('time,u,y\n')
+    assert "titles ('time,u,y') without rows of numbers below" in refused(tmp_path / 'a.csv')
+
+
+def test_a_name_with_a_dot_is_kept(tmp_path):
+    for name, topic in (('run1.2.csv', 'run1_2'), ('run.csv', 'run')):
+        with open_bag(write_csv(tmp_path / name, {'t': T, 'u': T})) as bag:
+            assert list(bag.topics) == [topic]
+
+
 def test_times_of_one_table_that_name_no_unit_have_one(tmp_path):
     """A command every second, and samples at 0.5 Hz by a clock of their own: hours, not ms."""
     path = write_csv(tmp_path / 'a.csv', {

@@ -75,7 +75,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     BagError
         If no column is a time, or starts again, or none is left beside it.
     """
-    stem = plain_name(path.name.partition('.')[0])
+    stem = plain_name(re.sub(r'(\.[a-z]+\d?)+$', '', path.name, flags=re.IGNORECASE))
     columns = joined_seconds(columns)
     empty = [column.name for column in columns if not column.known.any()]
     columns = [column for column in columns if column.name not in empty]
