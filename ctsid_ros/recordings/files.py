@@ -241,7 +241,7 @@ def _look(start: bytes) -> str:
             return f'binary data ({start[:4].hex(" ")} ...)'
         text = start[:error.start].decode('utf-8')
     if text and (text.isprintable() or '\n' in text):
-        if len(text.split('\n', 1)[-1].strip()) == 0:
+        if len(text.splitlines()) == 1 and ',' in text:
             return f'titles ({text.strip()!r}) without rows of numbers below: nothing was recorded'
         return f'text ({text.splitlines()[0][:40]!r} ...)'
     return f'binary data ({start[:4].hex(" ")} ...)'
