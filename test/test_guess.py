@@ -785,6 +785,9 @@ def test_a_step_without_rest_before_it_is_not_decided_by_the_order_of_columns(tm
     assert keys(found)[0] == (('run', 'a'), ('run', 'b'))
     assert 'guessed by what steps, their names' in found.reasons[0]
     assert "to turn it round: --input 'run b' --output 'run a'" in found.reasons[0]
+    # Who names one of them has told the data's doubt.
+    assert not guessed(path, inputs=[('run', 'a')]).doubts
+    assert not guessed(path, outputs=[('run', 'b')]).doubts
     np.savetxt(path, np.transpose([time, 0 * u + 1.0, signals['b']]), delimiter=',',
                header='t,a,b', comments='')
     with pytest.raises(BagError, match='a step before the first sample is not seen'):

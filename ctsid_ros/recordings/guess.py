@@ -232,8 +232,9 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     outputs = [found[key] for key in named.outputs] or [pair.output]
     chosen = not (named.inputs or pair.input.wanted or pair.input.set_point)
     further, beside = _further_commands(inputs, outputs, ranking, chosen)
+    by_names &= not further and named == NOBODY
     if further:         # in the order of the recording
-        by_names, inputs = False, [c for c in ranking.found if c in (*inputs, *further)]
+        inputs = [c for c in ranking.found if c in (*inputs, *further)]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
         _why(pair), *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
             pair, pairs, ranking.compared, inputs))]
