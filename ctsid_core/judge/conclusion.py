@@ -27,6 +27,7 @@ from ctsid_core.judge.rules import (
     tested,
 )
 from ctsid_core.judge.stuck import stuck_outputs
+from ctsid_core.judge.unmoved import unmoved_notes
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.residuals import (
@@ -116,6 +117,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *rounding_notes(solution, coarse),
+               *(() if solution.by_prediction else unmoved_notes(solution)),
                *(change_note(evidence, verdict.reason) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, evidence.doubt)) if setting not in verdict.reason),
