@@ -16,6 +16,7 @@ from ctsid_core.model.validation import simulation
 from ctsid_core.settings import Settings
 from ctsid_core.signals.bursts import without_bursts
 from ctsid_core.signals.gaps import FEWEST, missing
+from ctsid_core.signals.interpolated import without_interpolated
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices, with_each
 from ctsid_core.signals.repeats import without_repeats
@@ -90,7 +91,8 @@ def as_measured(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return a record with samples when and as often as they were measured, and notes on that."""
     record, late = without_bursts(record)
     record, often = without_repeats(record)
-    return record, (*late, *often)
+    record, between = without_interpolated(record)
+    return record, (*late, *often, *between)
 
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Samples on straight lines between those of a slower sensor: a table that was resampled.
+
+They tell nothing new, their noise is no noise, and what lies between two samples tells the later
+one before it was measured. Where neighbouring lines meet the sensor was read.
+
+A line that is held still is a value that is sent again (`repeats.py`), not one between two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.signals.gaps import FEWEST
+from ctsid_core.signals.record import Record, Signal, channel_slices
+
+_STRAIGHT = 0.01      # of the usual change of a slope: less is none
+_MOST = 0.8           # of the samples lie on lines, and of these meet where they should
+
+
+def without_interpolated(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return a record with outputs where their sensors were read, and a sentence on each."""
+    found: list[Signal] = []
+    notes: list[str] = []
+    for signal, channels in zip(record.outputs, channel_slices(record.outputs), strict=True):
+        read = _read(signal)
+        found.append(read or signal)
+        if read:
+            notes.append(f'samples of {", ".join(record.output_names[channels])} lie on straight '
+                         f'lines, about {len(signal.time) / len(read.time):.2g} on each, as '
+                         'between those of a slower sensor in a table that was resampled; where '
+                         'lines meet it was read, and that counts')
+    return (replace(record, outputs=tuple(found)) if notes else record), tuple(notes)
+
+
+def _read(signal: Signal) -> Signal | None:
+    """Return the samples of a slower sensor that those of a signal lie between, if they do."""
+    t, y = signal.time, signal.values
+    if len(t) < FEWEST:
+        return None
+    with np.errstate(all='ignore'):         # torn values
+        slopes = np.diff(y, axis=0) / np.diff(t)[:, np.newaxis]
+        turns = np.diff(slopes, axis=0)
+        least = _STRAIGHT * np.sqrt(np.mean(turns ** 2, axis=0))
+        inner = np.all((np.abs(turns) <= least) & (np.abs(slopes[1:]) > least), axis=1)
+        on_line = np.convolve(inner, np.ones(3)) > 0.0
+        first, last = np.flatnonzero(np.diff(np.pad(inner, 1).astype(int))).reshape(-1, 2).T
+        # Lines from sample `first` to `last` + 1; the next one begins there, or a sample later.
+        i, j = last[:-1] + 1, first[1:]
+        near = (j - i >= 0) & (j - i <= 1) & (t[j] - t[i] < 2.0 * (t[i] - t[i - 1]))
+        if len(i) < FEWEST or np.mean(on_line) < _MOST or np.mean(near) < _MOST:
+            return None
+        i, j = i[near], j[near]
+        before, after, apart = slopes[i - 1], slopes[j], (t[j] - t[i])[:, np.newaxis]
+        since = np.sum((y[j] - y[i] - after * apart) * (before - after), axis=1) \
+            / np.sum((before - after) ** 2, axis=1)
+        meet = (since >= -_STRAIGHT * apart[:, 0]) & (since <= (1.0 + _STRAIGHT) * apart[:, 0])
+        straight = np.all(np.abs(slopes[first] - slopes[last]) <= 2.0 * least, axis=1)
+    if min(np.mean(meet), np.mean(straight)) < _MOST:
+        return None
+    return replace(signal, time=(t[i] + since)[meet],
+                   values=(y[i] + before * since[:, np.newaxis])[meet])
