@@ -27,7 +27,7 @@ def sensor(seed, interval, jitter=0.3):
 
 
 @pytest.mark.parametrize(('interval', 'jitter', 'least'), [
-    (0.06, 0.0, 0.95), (0.06, 0.3, 0.75), (0.073, 0.3, 0.85), (0.1, 0.3, 0.95), (0.2, 0.3, 0.95),
+    (0.04, 0.0, 0.95), (0.04, 0.3, 0.95), (0.06, 0.0, 0.95), (0.06, 0.3, 0.75), (0.073, 0.3, 0.85), (0.1, 0.3, 0.95), (0.2, 0.3, 0.95),
     (1.0, 0.3, 0.8)])
 @pytest.mark.parametrize('digits', [17, 6])
 def test_samples_are_where_lines_meet(interval, jitter, least, digits):
@@ -79,9 +79,9 @@ def test_what_is_measured_stays(kind):
     assert without_interpolated(given) == (given, ())
 
 
-@pytest.mark.parametrize('interval', [0.06, 0.2])
+@pytest.mark.parametrize('interval', [0.04, 0.06, 0.2])
 def test_a_table_that_was_resampled_tells_the_plant(interval):
-    """Of 16 such records 13 and 7 were WEAK, and responses of the others 6 deviations off."""
+    """Of 16 such records 15, 13 and 7 were WEAK, others up to 6 deviations off (rms)."""
     off = []
     for seed, kind in enumerate(('multisine', 'pilot', 'doublets')):
         rng = np.random.default_rng([seed, 42])
