@@ -27,8 +27,8 @@ def sensor(seed, interval, jitter=0.3):
 
 
 @pytest.mark.parametrize(('interval', 'jitter', 'least'), [
-    (0.04, 0.0, 0.95), (0.04, 0.3, 0.95), (0.06, 0.0, 0.95), (0.06, 0.3, 0.75), (0.073, 0.3, 0.85), (0.1, 0.3, 0.95), (0.2, 0.3, 0.95),
-    (1.0, 0.3, 0.8)])
+    (0.04, 0.0, 0.95), (0.04, 0.3, 0.95), (0.06, 0.0, 0.95), (0.06, 0.3, 0.75), (0.073, 0.3, 0.85),
+    (0.1, 0.3, 0.95), (0.2, 0.3, 0.95), (1.0, 0.3, 0.8)])
 @pytest.mark.parametrize('digits', [17, 6])
 def test_samples_are_where_lines_meet(interval, jitter, least, digits):
     times, y = sensor(1, interval, jitter)

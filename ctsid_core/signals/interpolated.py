@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.linear.types import Array
 from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
@@ -73,7 +74,7 @@ def _read(signal: Signal) -> Signal | None:
 
 def _in_pairs(turns: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """
-    Return the first and last slopes of lines on which two samples lie each; none if there are none.
+    Return the first and last slopes of lines on which two samples lie each, or none.
 
     Between two lines slopes turn to the same side twice, within one and to the next they do not:
     a smooth signal always does. Which neighbours are pairs may change as clocks run apart.
