@@ -308,8 +308,7 @@ class _Shape:
         self.size = len(poles), 1 + int(poles[0].imag > 0.0)
         # (nu, cells + 1, m parts): all at one instant are neighbours, for they are read together.
         effort.spend(_PER_CELL * len(poles) * len(cells.means) * cells.count)
-        driven = np.ascontiguousarray(
-            _parts(cells.responses(self.poles)).transpose(2, 3, 0, 1))
+        driven = _parts(cells.responses(self.poles)).transpose(2, 3, 0, 1)
         self.driven = driven.reshape(*driven.shape[:2], -1)
 
     def candidates(self, stream: Stream, delay: Array) -> Array:
