@@ -287,8 +287,9 @@ class _Cells:
 
     def responses(self, poles: Array | ComplexArray) -> ComplexArray:
         """Return the responses of poles at the edges, (m, nu, cells + 1); real if they are."""
-        turn = poles * self.step                # a pole of the grid is seen in a few cells
-        gain = self.step * (np.expm1(turn) / turn)
+        turn = poles * self.step
+        small = np.abs(turn) < 1e-8
+        gain = self.step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
         return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self.means)
 
     def places(self, times: Array) -> tuple[NDArray[np.intp], Array]:
@@ -307,8 +308,10 @@ class _Shape:
         self._free: dict[int, Array] = {}
         self.size = len(poles), 1 + int(poles[0].imag > 0.0)
         # (nu, cells + 1, m parts): all at one instant are neighbours, for they are read together.
-        effort.spend(_PER_CELL * len(poles) * len(cells.means) * cells.count)
-        driven = _parts(cells.responses(self.poles)).transpose(2, 3, 0, 1)
+        driven = np.empty((len(cells.means), cells.count + 1, *self.size))
+        for some in np.split(np.arange(len(poles)), len(poles) // _PAIRS):
+            effort.spend(_PER_CELL * len(some) * len(cells.means) * cells.count)
+            driven[:, :, some] = _parts(cells.responses(self.poles[some])).transpose(2, 3, 0, 1)
         self.driven = driven.reshape(*driven.shape[:2], -1)
 
     def candidates(self, stream: Stream, delay: Array) -> Array:
