@@ -559,6 +559,21 @@ def test_a_stretch_lasts_until_a_slow_plant_has_answered(tmp_path):
         assert stretch.end == pytest.approx(step + answer, abs=60.0)
 
 
+@pytest.mark.parametrize('kind', ['noise', 'gusts', 'walk'])
+def test_what_wanders_answers_to_nothing(kind):
+    """Noise after an answer made an answer of all rest, and all of a recording was taken."""
+    rng, ticks = np.random.default_rng(22), clock(600.0, 50.0)
+    time = ticks.time
+    u = np.sign(np.sin(2.0 * np.pi * time / 3.0)) * (time % 200.0 < 15.0)
+    white = rng.standard_normal(len(time))
+    y = lagged(u, 3.0, 0.02) + {
+        'noise': 0.05 * white, 'gusts': lagged(2.0 * white, 1.0, 0.02),
+        'walk': 0.0015 * np.cumsum(white)}[kind]
+    alone, beside = (excited(u, ticks, outputs=outputs) for outputs in ((), (y,)))
+    assert len(alone) == 3
+    assert [(s.start, s.end) for s in beside] == [(s.start, s.end) for s in alone]
+
+
 @pytest.mark.slow
 def test_windows_are_long_beside_a_dead_time(tmp_path, monkeypatch):
     """Of 120 s windows of 12 s were written: four dead times, of which "nothing follows"."""

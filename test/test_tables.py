@@ -12,6 +12,7 @@ from recording_files import samples_read, write_csv
 
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.table_times import Column, read_times
 
 BOOT = 10**15  # times that count from zero are shifted: a stamp of zero means that there is none
 T = np.arange(20) * 0.01
@@ -154,7 +155,8 @@ def test_titles_without_rows_are_told(tmp_path):
 
 
 def test_a_name_with_a_dot_is_kept(tmp_path):
-    for name, topic in (('run1.2.csv', 'run1_2'), ('run.csv', 'run')):
+    for name, topic in (
+            ('run1.2.csv', 'run1_2'), ('run.csv', 'run'), ('drive.left.csv', 'drive_left')):
         with open_bag(write_csv(tmp_path / name, {'t': T, 'u': T})) as bag:
             assert list(bag.topics) == [topic]
 
@@ -167,6 +169,17 @@ def test_times_of_one_table_that_name_no_unit_have_one(tmp_path):
     assert np.ptp(stamps(path, 'a/t_cmd')) == 99e9
     assert np.ptp(stamps(path, 'a/t_meas')) == pytest.approx(49 * 2.0005e9)
     assert 'column t_meas name no unit and are taken as s' in notes(path)
+    # Dates tell their own.
+    dated = write_csv(tmp_path / 'b.csv', {
+        't_cmd': 1.7e9 + T, 'u': T, 't_meas': 1.7e12 + 1e3 * T, 'y': T})
+    with open_bag(dated) as bag:
+        assert list(bag.topics) == ['b/t_cmd', 'b/t_meas']
+    assert np.ptp(stamps(dated, 'b/t_meas')) == pytest.approx(np.ptp(T) * 1e9, abs=1e6)
+    # One event has no steps.
+    rows, event = read_times([Column('t', '', 10.0 * np.arange(200.0)),
+                              Column('t_event', '', np.array([50.0, *[np.nan] * 199]))], {})
+    assert np.ptp(rows.log_ns) == 1.99e9
+    assert event.log_ns[0] - rows.log_ns[0] == 50e6
 
 
 def test_columns_that_are_filled_in_other_rows_are_sampled_at_other_times(tmp_path):

@@ -129,6 +129,14 @@ def test_stamps_are_as_even_as_samples_and_keep_their_order_with_inputs():
     np.testing.assert_array_equal(np.argsort(moved), np.arange(len(moved)))
 
 
+def test_no_sample_comes_before_the_start_by_rounding():
+    """Responses to curves there were 1e211, and the identification ended in a traceback."""
+    for seed in range(40):
+        stamps = [t - t[0] for t in (jittering(seed=seed), jittering(200, seed=50 + seed) * 2.0)]
+        for times in evened(stamps)[0]:
+            assert times[0] >= 0.0
+
+
 def test_samples_of_an_input_s_instant_stay_there():
     """In closed loop what is before that input is another sample."""
     stamps = [jittering(seed=1), 0.003 + jittering(seed=2)]

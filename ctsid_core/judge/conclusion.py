@@ -63,7 +63,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     `sought`: of which moving inputs the dead time was looked for; empty if of none.
     """
     coarse = rounding(solution)
-    solution = replace(solution, rivals=(*solution.rivals, *beside_rounding(solution, coarse)))
+    solution = replace(solution, rivals=(*solution.rivals, *beside_rounding(
+        solution, coarse, sought)))
     part, fit, samples = solution.part, solution.fit, solution.samples
     effort = samples.effort
     effort.keep(0.0)

@@ -21,29 +21,42 @@ from ctsid_core.linear.types import Array
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.tried import ENOUGH, parameters
 
+_DEVIATIONS = 2.0     # of the power of rounding, by which less is no chance
+
 
 def rounding(solution: Solution) -> Array:
     """Return what a model follows of the rounding of each output, over its motion, (ny,)."""
     samples, fit = solution.samples, solution.fit
-    # Of noise numbers explain as many samples.
+    if solution.by_prediction:
+        return np.zeros(samples.ny)
+    counts, moved = samples.counts.sum(axis=0), (_steps(solution) / samples.size) ** 2 / 12.0
+    # Of noise numbers explain as many samples; and it is more or less by chance: of rounding the
+    # mean of N squares has a deviation of sqrt(0.8 / N).
     noise = 1.0 - parameters(samples, fit, solution.free) / samples.counts.sum()
-    followed = np.sqrt(np.maximum(
-        noise * (_steps(solution) / samples.size) ** 2 / 12.0 - samples.mean(fit.power), 0.0))
-    return np.where(followed > ENOUGH, followed, 0.0) * (not solution.by_prediction)
+    left = noise * moved - samples.mean(fit.power)
+    told = (left > _DEVIATIONS * np.sqrt(0.8 / np.maximum(counts, 1.0)) * moved) & (
+        left > ENOUGH ** 2)
+    return np.sqrt(np.where(told, left, 0.0))
 
 
-def beside_rounding(solution: Solution, followed: Array) -> list[tuple[float, ModalModel]]:
-    """Return models with other gains, and other dead times, that are as far away as that."""
+def beside_rounding(solution: Solution, followed: Array,
+                    sought: tuple[bool, ...]) -> list[tuple[float, ModalModel]]:
+    """
+    Return models with other gains, and other dead times, that are as far away as that.
+
+    `sought`: of which moving inputs the dead time was looked for.
+    """
     if not followed.any():
         return []
-    samples, model = solution.samples, solution.fit.model
-    away = rivals_apart(samples, model, [(1.0, replace(
-        model, delay=model.delay + samples.interval))])
-    late = np.minimum(samples.interval * np.max(followed) / np.maximum(away, 1e-300),
-                      solution.free.longest)
-    more = 1.0 + followed[:, np.newaxis]
-    return [(0.5, replace(model, c=more * model.c, D=more * model.D)),
-            (0.5, replace(model, delay=model.delay + late))]
+    samples, m, more = solution.samples, solution.fit.model, 1.0 + followed[:, np.newaxis]
+    gains, late = replace(m, c=more * m.c, D=more * m.D), m.delay + samples.interval
+    # As far as the gains are for each input; a dead time that is given is known.
+    far, away = (rivals_apart(samples, m, [(1.0, one)])
+                 for one in (gains, replace(m, delay=late)))
+    late = np.minimum(m.delay + samples.interval * far / np.maximum(away, 1e-300),
+                      np.maximum(solution.free.longest, m.delay))
+    return [(0.5, gains), (0.5, replace(m, delay=np.where(
+        sought or False, late, m.delay)))]
 
 
 def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
@@ -52,8 +65,8 @@ def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
     for place, step, share in zip(last.y, _steps(solution), followed, strict=True):
         if share:
             yield (f'output {last.whole.output_names[place]} is measured in steps of {step:.3g}, '
-                   'and the model follows these steps: how it moves between them is known to '
-                   f'{100.0 * share:.2g} % of its motion; move inputs more, or less regularly, or '
+                   'and the model follows these steps: the motion between them is known to '
+                   f'{100.0 * share:.2g} % of all; move inputs more, or less regularly, or '
                    'measure it more finely')
 
 

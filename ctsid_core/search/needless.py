@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at

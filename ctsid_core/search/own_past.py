@@ -214,8 +214,9 @@ def _even(record: RecordSamples) -> RecordSamples:
         return np.asarray(np.interp(stamps, times, even) + beyond)
     inputs = tuple(replace(s, time=moved(s.time)) for s in record.inputs)
     stamps = np.unique(np.concatenate([s.time for s in inputs]))
-    return replace(record, inputs=inputs, streams=tuple(replace(s, times=_between(
-        stamps, moved(s.times), _evened(s.times))) for s in record.streams))
+    # Not before the start by rounding
+    return replace(record, inputs=inputs, streams=tuple(replace(s, times=np.maximum(_between(
+        stamps, moved(s.times), _evened(s.times)), record.start)) for s in record.streams))
 
 
 def _between(stamps: Array, times: Array, even: Array) -> Array:

@@ -25,6 +25,7 @@ _MOVE = 0.1  # of the usual size of a move: less is noise
 _MOVES = 4  # waits in a recording, at least
 _CONTRAST = 10.0  # loud over quiet power, below which all is one experiment
 _ANSWERED = 0.1  # of what an output has moved, from where it stays: it has answered
+_STAYS = 0.3  # of it: an output that moves by more in the second half of a rest does not answer
 _FLOOR = 1e-4  # of the loud power: what is quieter counts as at rest
 _STILL = 0.3  # of the deviation where it moves fast: what keeps nearer to its mean rests
 _ALL = 0.8  # of the time: an experiment that lasts longer is all of the recording
@@ -143,9 +144,12 @@ def _and_answers(active: Mask, clock: Clock, outputs: Sequence[Array]) -> tuple[
         for rest in ticks[2 - int(active[part.start])::2]:      # after moves
             for y in outputs:
                 known = rest[np.isfinite(y[rest])]
-                left = np.abs(y[known] - np.median(y[known[len(known) // 2:]])) \
-                    if len(known) else known
-                late = known[left > _ANSWERED * left.max(initial=0.0)] - rest[0]
+                half = len(known) // 2
+                left = np.abs(y[known] - np.median(y[known[half:]])) if len(known) else known
+                most = left.max(initial=0.0)
+                if left[half:].max(initial=0.0) > _STAYS * most:    # it wanders, and answers not
+                    continue
+                late = known[left > _ANSWERED * most] - rest[0]
                 found[rest[:late.max(initial=0)]] = True
                 longest = max(longest, int(late.max(initial=0)))
     return found, longest * clock.step

@@ -39,6 +39,7 @@ _ALIKE = 2 / 3
 # swapped are fewer; and of one time that is false, all others are on one side.
 _RUN = 20
 _NEAR = 1000  # rows before it that are looked at
+_ENDINGS = re.compile(r'(\.(csv|tsv|txt|dat|log|parquet|pq|gz|bz2|xz|zstd?))+$', re.IGNORECASE)
 _UNIT = re.compile(r'(.*\S)\s*[\[(<]\s*([^\d\])>][^\])>]*)[\])>]')
 
 
@@ -75,7 +76,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     BagError
         If no column is a time, or starts again, or none is left beside it.
     """
-    stem = plain_name(re.sub(r'(\.[a-z]+\d?)+$', '', path.name, flags=re.IGNORECASE))
+    stem = plain_name(_ENDINGS.sub('', path.name))
     columns = joined_seconds(columns)
     empty = [column.name for column in columns if not column.known.any()]
     columns = [column for column in columns if column.name not in empty]

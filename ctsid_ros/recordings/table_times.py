@@ -220,7 +220,7 @@ def read_times(columns: Sequence[Column], told: Mapping[str, str]) -> list[Time]
     """
     Return columns of a table as times.
 
-    Those whose unit nothing says share one: that which the one with the shortest steps tells.
+    Those whose unit nothing says, no date neither, share that of the one with the shortest steps.
 
     Parameters
     ----------
@@ -229,9 +229,10 @@ def read_times(columns: Sequence[Column], told: Mapping[str, str]) -> list[Time]
         Units that the user says, by names of columns.
     """
     units = [told.get(c.name) or _WORDS.get(c.unit.lower() or _suffix(c.name), '')
-             for c in columns]
+             or ('' if c.is_date else _dated(c)) for c in columns]
     unsaid = [c for c, unit in zip(columns, units, strict=True) if not (unit or c.is_date)]
-    guessed = _guess(min(unsaid, key=_step)) if unsaid else ''
+    steps = [c for c in unsaid if c.known.sum() > 1]
+    guessed = _guess(min(steps or unsaid, key=_step)) if unsaid else ''
     return [_read(c, unit or guessed, '' if unit or c.is_date else _doubt(c, guessed))
             for c, unit in zip(columns, units, strict=True)]
 
@@ -275,15 +276,15 @@ def _dated(column: Column) -> str:
 
 
 def _guess(column: Column) -> str:
-    """Return the unit that the values tell."""
-    return _dated(column) or next((unit for unit, ns in _GUESSED.items() if _step(column)
-                                   < _SLOWEST * UNITS['s'] / ns), 'ns')
+    """Return the unit that steps tell."""
+    return next((unit for unit, ns in _GUESSED.items()
+                 if _step(column) < _SLOWEST * UNITS['s'] / ns), 'ns')
 
 
 def _doubt(column: Column, unit: str) -> str:
     """Return a note on how the unit was guessed, if values leave room for another one."""
     step, strange = _step(column), column.unit and column.unit.lower() not in _CLOCKS
-    if _dated(column) or unit == 's' and step < _SURE and not strange:
+    if unit == 's' and step < _SURE and not strange:
         return ''
     named = f'have the unit {column.unit!r}, which is not known,' if strange else 'name no unit'
     length = float(np.ptp(_sorted(column))) * UNITS[unit] / UNITS['s'] if column.known.any() else 0
