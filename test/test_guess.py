@@ -559,6 +559,20 @@ def test_a_stretch_lasts_until_a_slow_plant_has_answered(tmp_path):
         assert stretch.end == pytest.approx(step + answer, abs=60.0)
 
 
+def test_each_named_output_has_an_input_that_it_follows(tmp_path):
+    """Of an arm's speeds one torque was chosen, though the table showed that of each."""
+    rng, time = np.random.default_rng(23), np.arange(0.0, 60.0, 0.02)
+    table = {'tau1': moves(rng, len(time), 20), 'tau2': moves(rng, len(time), 30)}
+    for k, pole in ((1, 2.0), (2, 4.0)):
+        table[f'vel{k}'] = lagged(table[f'tau{k}'], pole, 0.02) \
+            + 0.02 * rng.standard_normal(len(time))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, *table.values()]), delimiter=',',
+               comments='', header=f't [s],{",".join(table)}')
+    found = guessed(tmp_path / 'run.csv', outputs=[('run', 'vel1'), ('run', 'vel2')])
+    assert sorted(c.name for c in found.config.inputs) == ['tau1', 'tau2']
+    assert sum('% of the variance of' in reason for reason in found.reasons) == 2
+
+
 @pytest.mark.parametrize('kind', ['noise', 'gusts', 'walk'])
 def test_what_wanders_answers_to_nothing(kind):
     """Noise after an answer made an answer of all rest, and all of a recording was taken."""

@@ -230,14 +230,20 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
+    taken = [pair]
+    for y in outputs if named.outputs and not named.inputs else ():     # each has to follow one
+        likely = [p for p in ranking.pairs if p.output is y and p.input not in outputs]
+        if likely and not any(p.input in inputs for p in likely):
+            taken.append(likely[0])
+            inputs.append(likely[0].input)
     chosen = not (named.inputs or pair.input.wanted or pair.input.set_point)
     further, beside = _further_commands(inputs, outputs, ranking, chosen)
     by_names &= not further and named == NOBODY
-    if further:         # in the order of the recording
+    if further or len(taken) > 1:       # in the order of the recording
         inputs = [c for c in ranking.found if c in (*inputs, *further)]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
-        _why(pair), *_followed(pair, ranking.found), *(() if named.outputs else _further_outputs(
-            pair, pairs, ranking.compared, inputs))]
+        *map(_why, taken), *_followed(pair, ranking.found), *(
+            () if named.outputs else _further_outputs(pair, pairs, ranking.compared, inputs))]
     reasons += beside
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))

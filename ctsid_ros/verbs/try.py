@@ -116,7 +116,7 @@ def _spanning(config: Config, estimate: Estimate, duration: float) -> Config:
 
 def _otherwise(guessed: Guess, args: argparse.Namespace) -> str:
     """Return how to try with other signals, as a line."""
-    if guessed.pick < len(guessed.pairs):
+    if guessed.free and guessed.pick < len(guessed.pairs):
         words = ('ctsid', 'try', *bag_words(args), *signal_words(args),
                  '--pick', str(guessed.pick + 1))
         return f'The next pair of signals: {shlex.join(words)}'
