@@ -18,6 +18,7 @@ import yaml
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import to_json
 from ctsid_core.model.validation import simulation
+from ctsid_core.model.verdict import Grade
 from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Signal
@@ -28,7 +29,7 @@ from ctsid_ros.ingest.ingest import Ingest
 from ctsid_ros.recordings import chunks
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.playback import Interval, fit_config, read_record
-from ctsid_ros.replay.replay import Replay, Result, best_of
+from ctsid_ros.replay.replay import Replay, Result, best_of, last_change
 
 CONFIG = parse_config(yaml.safe_load(PARAMS))
 
@@ -293,6 +294,22 @@ def result(fit: float, n: int = 2, *, ok: bool = True, tested: bool = True) -> R
     ([result(-math.inf), result(-50)], 1)])
 def test_best_explains_unseen_data_with_few_states(results, number):
     assert best_of(results) == number
+
+
+def test_best_is_of_the_plant_after_its_last_change():
+    """That of before was kept, GOOD and without a word in its file."""
+    def window(start, fit, status=Status.OK, grade=Grade.GOOD):
+        found = result(fit, ok=status is Status.OK)
+        estimate = replace(
+            found.estimate, start_ns=start * S, end_ns=(start + 20) * S, status=status,
+            statistics={'change_share': 0.5},
+            verdict=replace(found.estimate.verdict, grade=grade))
+        return replace(found, tracked=replace(found.tracked, estimate=estimate))
+    before = [window(0, 99), window(10, 98), window(50, 0, Status.CHANGED)]
+    after = [window(60, 70, grade=Grade.WEAK), window(70, 95), window(80, 96)]
+    assert last_change(before) == 60 * S
+    for results, number in ((before, 0), (before + after[:1], 0), (before + after, 5)):
+        assert best_of(results, last_change(results)) == number
 
 
 def test_nothing_is_kept_of_windows_but_their_estimates(ran):

@@ -32,7 +32,7 @@ from ctsid_core.signals.gaps import silent_at_end
 from ctsid_core.signals.record import Record
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
-_EDGE = 1 / 40        # part of a window: half of the steps in which the time of a change is found
+EDGE = 1 / 40         # part of a window: half of the steps in which the time of a change is found
 _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
 
@@ -141,10 +141,10 @@ class Tracker:
         A change near the ends of a window hardly shows in it, and its model may be wrong all the
         same; but it stood in the middle of a window before.
         """
-        straddles = _time(estimate, _EDGE) < self._changed_ns < estimate.end_ns
+        straddles = time_of(estimate, EDGE) < self._changed_ns < estimate.end_ns
         if estimate.status is Status.CHANGED:
             # The first window to show it dates it best: later ones take it for later.
-            found_ns = _time(estimate, estimate.statistics['change_share'])
+            found_ns = time_of(estimate, estimate.statistics['change_share'])
             self._changed_ns = min(found_ns, self._changed_ns) if straddles else found_ns
         elif estimate.model is not None and straddles:
             share = (self._changed_ns - estimate.start_ns) / (estimate.end_ns - estimate.start_ns)
@@ -152,7 +152,8 @@ class Tracker:
         return estimate
 
 
-def _time(estimate: Estimate, share: float) -> int:
+def time_of(estimate: Estimate, share: float) -> int:
+    """Return when a share of a window is over, absolute [ns]."""
     return estimate.start_ns + round(share * (estimate.end_ns - estimate.start_ns))
 
 

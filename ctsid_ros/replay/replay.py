@@ -12,9 +12,9 @@ import numpy as np
 
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.linear.types import Array
-from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.validation import simulation
-from ctsid_core.sequence.tracking import Tracked, Tracker
+from ctsid_core.sequence.tracking import EDGE, Tracked, Tracker, time_of
 from ctsid_core.signals.record import Record
 from ctsid_ros.config.channels import Config
 from ctsid_ros.errors import BagError
@@ -122,7 +122,7 @@ class Replay:
     @property
     def best(self) -> int | None:
         """The number of the result to keep, see `best_of`; None if no model was accepted."""
-        return best_of(self.results)
+        return best_of(self.results, last_change(self.results))
 
     def run(self, advance: Advance | None = None) -> None:
         """
@@ -224,7 +224,8 @@ class Replay:
             if model:
                 orders.setdefault(model.n, []).append(number)
         for numbers in orders.values():  # whatever comes, no other of this order is the best
-            best = best_of([self.results[number] for number in numbers])
+            best = best_of([self.results[number] for number in numbers],
+                           last_change(self.results))
             wanted |= {numbers[best]} if best is not None else set()
         self._kept = {number: self._kept[number] for number in sorted(wanted)}
 
@@ -260,16 +261,25 @@ class Replay:
             'whole interval with `ctsid identify`', *self.played.complaints])
 
 
-def best_of(results: Sequence[Result]) -> int | None:
+def last_change(results: Sequence[Result]) -> int:
+    """Return when the plant changed last, as windows that are rejected for it tell [ns]; or 0."""
+    return max((time_of(r.estimate, r.estimate.statistics['change_share']) for r in results
+                if r.estimate.status is Status.CHANGED), default=0)
+
+
+def best_of(results: Sequence[Result], changed_ns: int = 0) -> int | None:
     """
     Return the number of the model to keep; None if none was accepted.
 
-    Of the GOOD ones, if there are any; of those that explain unseen data nearly as well as any
+    Of the GOOD ones after the last change of the plant, or else of all GOOD ones, if there are
+    any; of those that explain unseen data nearly as well as any
     (the windows they were tested on differ, so that the last percent means nothing), the one with
     the fewest states; of these the one that explains them best.
     """
     accepted = [(i, r, r.estimate.model.n) for i, r in enumerate(results) if r.estimate.model]
     accepted = [entry for entry in accepted if entry[1].estimate.good] or accepted
+    accepted = [entry for entry in accepted if entry[1].estimate.good
+                and time_of(entry[1].estimate, EDGE) >= changed_ns] or accepted
     tested = [entry for entry in accepted if entry[1].tested] or accepted
     if not tested:
         return None
