@@ -57,6 +57,20 @@ def test_the_rate_of_what_integrates_has_the_deviation_of_its_derivative(pole):
     assert found.std[0, 0] == pytest.approx(np.linalg.norm(slopes), rel=1e-4)
 
 
+def test_poles_that_are_known_less_than_the_gain_they_make_integrate_not():
+    """Two poles near each other, and an input that hardly moves the output."""
+    model = StateSpace(np.diag([-1.9, -2.1]), np.array([[1.0, 0.05], [1.0, -0.05]]),
+                       np.array([[1.0, 1.0]]))
+    A = np.zeros((1, 2, 2))
+    A[0] = np.diag([0.8, -0.8 * (2.1 / 1.9) ** 2])
+    none = [np.zeros((1, *part.shape)) for part in (model.B, model.C, model.D)]
+    found = gains(model, Covariance.of_entries(Entries(A, *none, np.zeros((1, 2))), model))
+    assert not found.rate.any()
+    assert found.value == pytest.approx(model.dc_gain)
+    assert found.std[0, 0] < 0.01
+    assert found.std[0, 1] > 3.0 * abs(found.value[0, 1])
+
+
 def test_what_grows_or_integrates_twice_has_no_gain():
     grown = StateSpace(np.diag([0.5, -4.0]), np.ones((2, 1)), np.ones((1, 2)))
     assert gains(grown, known(grown, 0.01)) is None

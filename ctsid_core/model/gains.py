@@ -81,8 +81,10 @@ def gains(model: StateSpace, covariance: Covariance | None = None) -> Gains | No
     # Beside what the response is elsewhere a gain may be known to be nothing.
     most = np.abs(model.frequency_response(model.natural_frequency)).max(axis=0, initial=0.0)
     size = np.maximum(np.abs(value), _NOTHING * most)
-    moving = _integrating(model, covariance) if (_TOLD * std > size).any() else None
-    return moving or Gains(value, std, none, vague=bool((std > size).any()))
+    told = _TOLD * std <= size
+    moving = None if told.all() else _integrating(model, covariance)
+    # A gain that is told is that of no mode which integrates: poles near each other are less known.
+    return moving if moving and not (moving.rate & told).any() else Gains(value, std, none, vague=bool((std > size).any()))
 
 
 def grows(model: StateSpace, covariance: Covariance | None = None) -> bool:
