@@ -83,8 +83,9 @@ def gains(model: StateSpace, covariance: Covariance | None = None) -> Gains | No
     size = np.maximum(np.abs(value), _NOTHING * most)
     told = _TOLD * std <= size
     moving = None if told.all() else _integrating(model, covariance)
-    # A gain that is told is that of no mode which integrates: poles near each other are less known.
-    return moving if moving and not (moving.rate & told).any() else Gains(value, std, none, vague=bool((std > size).any()))
+    # A gain that is told is of no mode that integrates: poles near each other are less known.
+    return moving if moving and not (moving.rate & told).any() else Gains(
+        value, std, none, vague=bool((std > size).any()))
 
 
 def grows(model: StateSpace, covariance: Covariance | None = None) -> bool:
