@@ -1074,6 +1074,19 @@ def test_a_window_longer_than_the_bag(refusal, shared):
     assert not Path('res').exists()
 
 
+def test_tables_of_one_folder_whose_units_are_guessed_apart(tmp_path, capsys):
+    """Hours of a heater beside seconds of its temperature: what to say was not named."""
+    time = np.arange(400.0)
+    for name, step in (('heater', 1.0), ('temp', 2.0)):
+        np.savetxt(tmp_path / f'{name}.csv', np.column_stack((1000.0 + step * time, np.sin(time))),
+                   delimiter=',', comments='', header=f't,{name}_cmd' if step < 2 else 't,zone')
+    assert main(['try', str(tmp_path), '--out', str(tmp_path / 'res')]) == 1
+    err = capsys.readouterr().err
+    assert 'too few usable samples in this interval of `zone`' in err
+    assert 'temp.csv: the times of column t name no unit and are taken as ms' in err
+    assert 'say --time t:s' in err
+
+
 @pytest.mark.parametrize('verb', ['identify', 'replay'])
 def test_inputs_and_outputs_that_do_not_overlap(refusal, shared, tmp_path, verb):
     bag = write_flight(tmp_path / 'bag', [

@@ -297,4 +297,4 @@ def why_nothing(bag: Bag, config: Config, ingest: Ingest, spans: Spans,
             for c in config.channels)
         lines = [f'the channels do not overlap in time: {listed} after the start of the bag; '
                  'check their stamps, or choose another bag']
-    return '\n'.join([*lines, *complaints])
+    return '\n'.join([*lines, *complaints, *bag.notes])      # such as units that are guessed
