@@ -8,6 +8,7 @@ import re
 from marks import slow
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, identify
 from ctsid_core.model.validation import prediction, simulation
@@ -259,13 +260,19 @@ def test_what_try_doubts_is_in_its_results(data_folder, tmp_path, monkeypatch, c
     for name in ('report.md', 'model.json'):
         text = ' '.join((tmp_path / 'arm' / name).read_text().split())
         assert 'the data alone do not tell which signal is the input' in text
-    heating = [str(data_folder / 'daisy/heating_system.dat'), '--time', 'column_1:s']
-    assert main(['try', *heating, '--out', 'heat', '--quiet']) == 0
-    told = re.search(r'the model is of 850 s in which .* of all 1600 s .* it explains (\S+) %',
+    # Three experiments in ten minutes, and gusts all the time.
+    rng, time = np.random.default_rng(1), np.arange(0.0, 600.0, 0.05)
+    u = np.sign(np.sin(2.0 * np.pi * time / 3.0)) * (time % 200.0 < 15.0)
+    y = lfilter([0.1], [1.0, -0.9], u) + 0.01 * rng.standard_normal(len(u)) \
+        + lfilter([0.02], [1.0, -0.98], rng.standard_normal(len(u)))
+    np.savetxt('run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
+               header='t [s],motor_cmd,speed')
+    assert main(['try', 'run.csv', '--out', 'motor', '--quiet']) in (0, 3)
+    told = re.search(r'the model is of 6\d s in which .* of all 600 s .* it explains (\S+) %',
                      ' '.join(capsys.readouterr().out.split()))
-    assert main(['simulate', 'heat/model.json', *heating, '--out', 'whole', '--quiet']) == 0
+    assert main(['simulate', 'motor/model.json', 'run.csv', '--out', 'whole', '--quiet']) == 0
     words = ' '.join(capsys.readouterr().out.split())
-    assert f'the model explains {told[1]} % of column_3 here' in words
+    assert f'the model explains {told[1]} % of speed here' in words
     assert 'the other parts of this recording move otherwise' in words
     assert 'payload' not in words
     page = (tmp_path / 'whole' / 'report.md').read_text()
