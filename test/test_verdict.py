@@ -830,6 +830,13 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     assert f'is 90 % of its motion{worst}; check that these' in verdict.reason
 
 
+def test_numbers_of_a_reason_are_written_out():
+    one = np.array([0.1])
+    _, verdict = judge(replace(evidence(one, response_uncertainty=one, excitation=(
+        Excitation('u1', 0.1, 10.0, 9.0, 1.0, 0.999),)), within=120.0))
+    assert 'within 120 s has a standard deviation of 100 %' in verdict.reason
+
+
 @pytest.mark.parametrize(('known', 'curved', 'first'), [
     (0.5, 0.0, 'Modes run. If that is not so: the response to input u1'),
     (0.5, 9.0, 'Output y1 is'),

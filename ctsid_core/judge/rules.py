@@ -188,7 +188,7 @@ def _begun(text: str) -> str:
 
 
 def _leads(e: Evidence, j: int) -> str:
-    return f'outputs answer about {e.lead[j]:.2g} s before input {e.input_names[j]} moves'
+    return f'outputs answer about {_about(e.lead[j])} s before input {e.input_names[j]} moves'
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
@@ -305,8 +305,13 @@ def tested(held_out: HeldOut, error: Array) -> Array:
     return np.where(held_out.unseen & unsure(held_out.expected, error), np.nan, held_out.error)
 
 
+def _about(value: float) -> str:
+    """Return two digits of a number, and no power of ten of a hundred and more."""
+    return f'{value:.2g}' if abs(value) < 99.5 else f'{value:.0f}'
+
+
 def _percent(part: float) -> str:
-    return f'{100 * part:.2g} %' if part <= 1.0 else 'more than 100 %'
+    return f'{_about(100 * part)} %' if part <= 1.0 else 'more than 100 %'
 
 
 def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution: float) -> float:
@@ -338,7 +343,7 @@ def _of_poles(deviation: float) -> str:
 
 
 def _within(e: Evidence) -> str:
-    return f' within {e.within:.2g} s' if e.within < np.inf else ''
+    return f' within {_about(e.within)} s' if e.within < np.inf else ''
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -495,5 +500,5 @@ def _moves(order: int, before: tuple[int, ...], moved: float,
             'set `order` in the parameter file, to keep one.')
     if moved > _MOVED:
         yield Remedy.WAIT, (
-            f'A pole has moved by {moved:.2g} standard deviations since the previous model; '
+            f'A pole has moved by {_about(moved)} standard deviations since the previous model; '
             f'{_WAIT}.')
