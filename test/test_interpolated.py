@@ -37,6 +37,7 @@ def test_samples_are_where_lines_meet(interval, jitter, least, digits):
     signal, = found.outputs
     nearest = np.abs(signal.time[:, np.newaxis] - times).argmin(axis=1)
     assert len(signal.time) >= least * len(times)
+    assert (np.diff(signal.time) > 0.0).all()
     assert np.median(np.abs(signal.time - times[nearest])) < (1e-9 if digits == 17 else 1e-4)
     assert np.median(np.abs(signal.values[:, 0] - y[nearest])) < 1e-5
     assert 'samples of y lie on straight lines' in notes[0]
@@ -63,7 +64,12 @@ def other(kind):
     held = np.arange(-1.0, 31.0, 0.02)
     u = drive('staircase', rng, held, 30.0, 1.0)
     y = Linear.of_roots(1.0, (-0.3, -2.0), 0.0).move(Held(held, u), TABLE)[:, 0]
-    return {'noise': y + rng.standard_normal(len(y)), 'smooth': y,
+    white = rng.standard_normal(len(y))
+    slow = Linear.of_roots(1.0, (-0.05,), 0.0).move(Held(held, u), TABLE)[:, 0]
+    return {'slow': slow, 'red': np.convolve(white, np.hanning(10), 'same'),
+            'partly': np.where(TABLE < 12.0, np.interp(TABLE, *sensor(5, 0.1)), white),
+            'too few': np.interp(TABLE, *sensor(6, 2.0)),
+            'noise': y + rng.standard_normal(len(y)), 'smooth': y,
             'counts': np.round(y / (0.01 * np.ptp(y))), 'few': np.round(y / (0.1 * np.ptp(y))),
             'speed': np.diff(np.round(300.0 * np.cumsum(y)), prepend=0.0),
             'sent again': np.repeat(y[::5], 5)[:len(y)],
@@ -73,7 +79,8 @@ def other(kind):
 
 
 @pytest.mark.parametrize('kind', [
-    'noise', 'smooth', 'counts', 'few', 'speed', 'sent again', 'steady', 'spikes', 'still'])
+    'slow', 'red', 'partly', 'too few', 'noise', 'smooth', 'counts', 'few', 'speed', 'sent again',
+    'steady', 'spikes', 'still'])
 def test_what_is_measured_stays(kind):
     given = record(other(kind))
     assert without_interpolated(given) == (given, ())

@@ -19,7 +19,7 @@ from ctsid_core.judge.excitation import rivals_apart
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.linear.types import Array
 from ctsid_core.search.solution import Solution
-from ctsid_core.search.tried import ENOUGH, parameters
+from ctsid_core.search.tried import ENOUGH
 
 _DEVIATIONS = 2.0     # of the power of rounding, by which less is no chance
 
@@ -30,10 +30,9 @@ def rounding(solution: Solution) -> Array:
     if solution.by_prediction:
         return np.zeros(samples.ny)
     counts, moved = samples.counts.sum(axis=0), (_steps(solution) / samples.size) ** 2 / 12.0
-    # Of noise numbers explain as many samples; and it is more or less by chance: of rounding the
-    # mean of N squares has a deviation of sqrt(0.8 / N).
-    noise = 1.0 - parameters(samples, fit, solution.free) / samples.counts.sum()
-    left = noise * moved - samples.mean(fit.power)
+    # By chance it is more or less: of rounding the mean of N squares has a deviation of
+    # sqrt(0.8 / N).
+    left = moved - samples.mean(fit.power)
     told = (left > _DEVIATIONS * np.sqrt(0.8 / np.maximum(counts, 1.0)) * moved) & (
         left > ENOUGH ** 2)
     return np.sqrt(np.where(told, left, 0.0))

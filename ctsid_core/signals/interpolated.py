@@ -51,7 +51,7 @@ def _read(signal: Signal) -> Signal | None:
         least = _STRAIGHT * np.sqrt(np.mean(turns ** 2, axis=0))
         first, last = _in_pairs(turns)
         if not len(first):
-            inner = np.all((np.abs(turns) <= least) & (np.abs(slopes[1:]) > least), axis=1)
+            inner = np.all(np.abs(turns) <= least, axis=1)
             first, last = np.flatnonzero(np.diff(np.pad(inner, 1).astype(int))).reshape(-1, 2).T
             if np.mean(np.convolve(inner, np.ones(3)) > 0.0) < _MOST:
                 return None
