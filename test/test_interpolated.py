@@ -65,7 +65,8 @@ def other(kind):
     u = drive('staircase', rng, held, 30.0, 1.0)
     y = Linear.of_roots(1.0, (-0.3, -2.0), 0.0).move(Held(held, u), TABLE)[:, 0]
     white = rng.standard_normal(len(y))
-    slow = Linear.of_roots(1.0, (-0.05,), 0.0).move(Held(held, u), TABLE)[:, 0]
+    often = np.repeat(rng.uniform(-1.0, 1.0, 40), 40)[:len(held), np.newaxis]
+    slow = Linear.of_roots(1.0, (-0.02,), 0.0).move(Held(held, often), TABLE)[:, 0]
     return {'slow': slow, 'red': np.convolve(white, np.hanning(10), 'same'),
             'partly': np.where(TABLE < 12.0, np.interp(TABLE, *sensor(5, 0.1)), white),
             'too few': np.interp(TABLE, *sensor(6, 2.0)),
