@@ -547,7 +547,7 @@ def test_steps_that_wait_for_a_slow_plant_are_one_experiment(tmp_path):
 
 
 def test_a_stretch_lasts_until_a_slow_plant_has_answered(tmp_path):
-    """One step of an oven, and samples every second: 63 s of an hour told a gain of 100 %."""
+    """One step of an oven, and samples every second: 63 s of an hour told its response to 29 %."""
     rng, time = np.random.default_rng(21), np.arange(0.0, 7200.0)
     u = np.where((time >= 1500) & (time < 4500), 1.0, 0.0)
     y = 20.0 + 2.0 * lagged(u, 1 / 200, 1.0) + 0.01 * rng.standard_normal(len(u))

@@ -144,8 +144,10 @@ def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:
 
 def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
     """Return the trim of the states and of all outputs of a record, given its own model."""
-    level = np.concatenate([s.values.mean(axis=0) for s in part.whole.outputs])
-    level[list(part.y)] = m.y_trim + part.y_level - m.D @ part.u_level
+    whole, y = part.whole, list(part.y)
+    level = np.zeros(whole.ny) if len(y) == whole.ny else \
+        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
+    level[y] = m.y_trim + part.y_level - m.D @ part.u_level
     return m.x_trim - m.B @ part.u_level, level
 
 

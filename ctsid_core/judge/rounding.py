@@ -20,6 +20,7 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.linear.types import Array
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.tried import ENOUGH
+from ctsid_core.signals.still import least
 
 _DEVIATIONS = 2.0     # of the power of rounding, by which less is no chance
 
@@ -60,6 +61,8 @@ def beside_rounding(solution: Solution, followed: Array,
 
 def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
     """Yield which outputs have so few values, and what to do."""
+    if not followed.any():
+        return
     last = solution.part.parts[solution.part.last]
     for place, step, share in zip(last.y, _steps(solution), followed, strict=True):
         if share:
@@ -71,8 +74,7 @@ def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
 
 def _steps(solution: Solution) -> Array:
     """Return the smallest step of each moving output from one sample to the next; 0 if none."""
-    steps = [np.abs(np.diff(s.values[s.rows(part.record.start, part.record.end)], axis=0))
-             for part in solution.part.parts for s in part.record.outputs]
-    least = [np.min(own, axis=0, where=own > 0.0, initial=np.inf) for own in steps]
-    found = np.min(np.concatenate(least).reshape(len(solution.part.parts), -1), axis=0)
+    found = np.min([np.concatenate([
+        least(np.diff(s.values[s.rows(part.record.start, part.record.end)], axis=0))
+        for s in part.record.outputs]) for part in solution.part.parts], axis=0)
     return np.where(np.isfinite(found), found, 0.0)

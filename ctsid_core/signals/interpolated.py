@@ -5,7 +5,7 @@ Samples on straight lines between those of a slower sensor: a table that was res
 They tell nothing new, their noise is no noise, and what lies between two samples tells the later
 one before it was measured. Where neighbouring lines meet the sensor was read.
 
-A line that is held still is a value that is sent again (`repeats.py`), not one between two.
+Values that are sent again are left out before (`repeats.py`).
 """
 
 from __future__ import annotations

@@ -42,15 +42,15 @@ def longest_still(record: Record) -> tuple[Still, ...]:
         for output, y in enumerate(values.T, channels.start):
             run = _longest_run(times, y, record.duration)
             if run is not None:
-                found.append(Still(output, times[run], _least(np.diff(y)),
+                found.append(Still(output, times[run], float(least(np.diff(y))),
                                    _noise_ends(y, run)))
     return tuple(found)
 
 
-def _least(distances: Array) -> float:
-    """Return the smallest of some distances that is one."""
+def least(distances: Array) -> Array:
+    """Return the smallest of some distances (N,) or (N, m) that is one, or inf."""
     distances = np.abs(distances)
-    return float(np.min(distances[distances > 0.0]))
+    return np.asarray(np.min(distances, axis=0, where=distances > 0.0, initial=np.inf))
 
 
 def _noise_ends(y: Array, run: slice) -> bool:
@@ -62,7 +62,7 @@ def _noise_ends(y: Array, run: slice) -> bool:
     """
     parts = (y[:run.start], y[run.stop:])
     steps = np.abs(np.concatenate([np.diff(part) for part in parts]))
-    return is_noise(*parts) and float(np.median(steps)) > _TWICE * _least(y - y[run.start])
+    return is_noise(*parts) and float(np.median(steps)) > _TWICE * float(least(y - y[run.start]))
 
 
 def _longest_run(times: Array, values: Array, duration: float) -> slice | None:

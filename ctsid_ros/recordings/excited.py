@@ -149,9 +149,8 @@ def _and_answers(active: Mask, clock: Clock, outputs: Sequence[Array]) -> tuple[
                 most = left.max(initial=0.0)
                 if left[half:].max(initial=0.0) > _STAYS * most:    # it wanders, and answers not
                     continue
-                late = known[left > _ANSWERED * most] - rest[0]
-                found[rest[:late.max(initial=0)]] = True
-                longest = max(longest, int(late.max(initial=0)))
+                late = int(max(known[left > _ANSWERED * most] - rest[0], default=0))
+                found[rest[:late]], longest = True, max(longest, late)
     return found, longest * clock.step
 
 

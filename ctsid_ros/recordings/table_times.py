@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import re
 from typing import Any
 
@@ -82,6 +83,17 @@ class Column:
         steps = np.diff(self.values[self.known].astype(
             np.int64 if self.is_date else np.float64, copy=False))
         return bool((steps > 0).any()) and bool(np.mean(steps >= 0) >= _ORDERED)
+
+    @cached_property
+    def ordered(self) -> NDArray[np.float64]:
+        """Its filled cells in order: rows may be in disorder."""
+        return np.sort(self.values[self.known].astype(np.float64))
+
+    @cached_property
+    def step(self) -> float:
+        """The median of the steps that are any; 1 if there is none."""
+        steps = np.diff(self.ordered)
+        return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
 
     @property
     def named_time(self) -> bool:
@@ -232,7 +244,7 @@ def read_times(columns: Sequence[Column], told: Mapping[str, str]) -> list[Time]
              or ('' if c.is_date else _dated(c)) for c in columns]
     unsaid = [c for c, unit in zip(columns, units, strict=True) if not (unit or c.is_date)]
     steps = [c for c in unsaid if c.known.sum() > 1]
-    guessed = _guess(min(steps or unsaid, key=_step)) if unsaid else ''
+    guessed = _guess(min(steps or unsaid, key=lambda c: c.step)) if unsaid else ''
     return [_read(c, unit or guessed, '' if unit or c.is_date else _doubt(c, guessed))
             for c, unit in zip(columns, units, strict=True)]
 
@@ -255,39 +267,27 @@ def _suffix(name: str) -> str:
     return 'us' if name == 'TimeUS' else found[1] if found else ''
 
 
-def _sorted(column: Column) -> NDArray[np.float64]:
-    """Return the times in order: rows may be in disorder."""
-    return np.sort(column.values[column.known].astype(np.float64))
-
-
-def _step(column: Column) -> float:
-    """Return the median of the steps that are any."""
-    steps = np.diff(_sorted(column))
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-
-
 def _dated(column: Column) -> str:
     """Return the unit in which times are dates, if there is one."""
-    values, step = _sorted(column), _step(column)
-    middle = float(np.median(values)) if len(values) else 0.0
+    middle = float(np.median(column.ordered)) if len(column.ordered) else 0.0
     return next((unit for unit, ns in _GUESSED.items()
                  if _CENTURY[0] < middle * ns * 1e-9 < _CENTURY[1]
-                 and 1e-7 < step * ns * 1e-9 < 1e4), '')
+                 and 1e-7 < column.step * ns * 1e-9 < 1e4), '')
 
 
 def _guess(column: Column) -> str:
     """Return the unit that steps tell."""
     return next((unit for unit, ns in _GUESSED.items()
-                 if _step(column) < _SLOWEST * UNITS['s'] / ns), 'ns')
+                 if column.step < _SLOWEST * UNITS['s'] / ns), 'ns')
 
 
 def _doubt(column: Column, unit: str) -> str:
     """Return a note on how the unit was guessed, if values leave room for another one."""
-    step, strange = _step(column), column.unit and column.unit.lower() not in _CLOCKS
+    step, strange = column.step, column.unit and column.unit.lower() not in _CLOCKS
     if unit == 's' and step < _SURE and not strange:
         return ''
     named = f'have the unit {column.unit!r}, which is not known,' if strange else 'name no unit'
-    length = float(np.ptp(_sorted(column))) * UNITS[unit] / UNITS['s'] if column.known.any() else 0
+    length = float(np.ptp(column.ordered)) * UNITS[unit] / UNITS['s'] if len(column.ordered) else 0
     return (f'the times of column {column.name} {named} and are taken as {unit}, for they step by '
             f'{step:g}: {length:.6g} s in all; if that is wrong, say --time {column.name}:s (or '
             f'{", ".join(list(UNITS)[1:])})')

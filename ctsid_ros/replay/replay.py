@@ -223,9 +223,9 @@ class Replay:
             model = self.results[number].estimate.model
             if model:
                 orders.setdefault(model.n, []).append(number)
+        changed_ns = last_change(self.results)
         for numbers in orders.values():  # whatever comes, no other of this order is the best
-            best = best_of([self.results[number] for number in numbers],
-                           last_change(self.results))
+            best = best_of([self.results[number] for number in numbers], changed_ns)
             wanted |= {numbers[best]} if best is not None else set()
         self._kept = {number: self._kept[number] for number in sorted(wanted)}
 
