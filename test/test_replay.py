@@ -298,17 +298,19 @@ def test_best_explains_unseen_data_with_few_states(results, number):
 
 def test_best_is_of_the_plant_after_its_last_change():
     """That of before was kept, GOOD and without a word in its file."""
-    def window(start, fit, status=Status.OK, grade=Grade.GOOD):
+    def window(start, fit, status=Status.OK, grade=Grade.GOOD, share=0.5):
         found = result(fit, ok=status is Status.OK)
         estimate = replace(
             found.estimate, start_ns=start * S, end_ns=(start + 20) * S, status=status,
-            statistics={'change_share': 0.5},
+            statistics={'change_share': share},
             verdict=replace(found.estimate.verdict, grade=grade))
         return replace(found, tracked=replace(found.tracked, estimate=estimate))
     before = [window(0, 99), window(10, 98), window(50, 0, Status.CHANGED)]
+    # Rejected for what an earlier window has shown: it tells no change of its own.
+    before.append(window(55, 0, Status.CHANGED, share=math.nan))
     after = [window(60, 70, grade=Grade.WEAK), window(70, 95), window(80, 96)]
     assert last_change(before) == 60 * S
-    for results, number in ((before, 0), (before + after[:1], 0), (before + after, 5)):
+    for results, number in ((before, 0), (before + after[:1], 0), (before + after, 6)):
         assert best_of(results, last_change(results)) == number
 
 
