@@ -264,9 +264,9 @@ class Replay:
 def last_change(results: Sequence[Result]) -> int:
     """Return when the plant changed last, as windows that are rejected for it tell [ns]; or 0."""
     # Windows that are rejected for what earlier ones have shown tell none of their own.
-    return max((time_of(r.estimate, share) for r in results
-                if r.estimate.status is Status.CHANGED
-                and np.isfinite(share := r.estimate.statistics.get('change_share', np.nan))), default=0)
+    shares = [(r.estimate, r.estimate.statistics.get('change_share', np.nan)) for r in results
+              if r.estimate.status is Status.CHANGED]
+    return max((time_of(e, share) for e, share in shares if np.isfinite(share)), default=0)
 
 
 def best_of(results: Sequence[Result], changed_ns: int = 0) -> int | None:
