@@ -220,6 +220,8 @@ def _half_rates(signal: Signal) -> list[float]:
 
     Infinite where changes turn around at least as often as they go on, as those of levels, pulses
     and noise, in however few messages: these are no samples of a motion that is smooth between.
+    A slow plant does not answer to the edges of a staircase that is sent when it changes: it may
+    be at too few frequencies, where the same one sent fifty times a second is not.
     """
     found = []
     for steps in np.diff(signal.values, axis=0).T:

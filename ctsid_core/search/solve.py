@@ -387,7 +387,12 @@ def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
 
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
            grows: bool = False) -> Doubt | None:
-    """Return what a model looks like if the setting of D is not right, and that setting."""
+    """
+    Return what a model looks like if the setting of D is not right, and that setting.
+
+    With D: three states (a pair is two) decay by less than e within a record, or grow, or
+    predictions find a mode that grows. Without D: a mode decays nearly as fast as any sought.
+    """
     poles = poles[poles.imag >= 0.0]
     near = poles.real * samples.length >= -GROWS
     steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
