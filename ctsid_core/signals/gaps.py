@@ -2,10 +2,10 @@
 """
 Pauses of a record: where samples are missing, and nobody knows what inputs did.
 
-Outputs need not be known all the time. Where a measured input is not, or where all channels are
-silent at a time (a network that drops out, a recorder that is paused or cannot keep up), states,
-and what inputs hold, begin anew after it. What is before and what is after are as two records of
-one plant.
+Outputs need not be known all the time. Where an input is not that is sent whether it changes or
+not, or where all channels are silent at a time (a network that drops out, a recorder that is
+paused or cannot keep up), states, and what inputs hold, begin anew after it. What is before and
+what is after are as two records of one plant.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ _LONG = 0.01            # of a record: shorter pauses are bridged, for each cost
 _MANY = 5               # times as many as any part has: a short experiment in a long recording
 _LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now, ...
 _BEFORE = 2.0           # ... if it is longer than any before it, so many times
+_AGAIN = 0.1            # of the samples of a held input that repeat its value: of more, it is sent
+                        # whether it changes or not, and silence tells that it is lost
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -35,16 +37,18 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     """
     Return the parts of a record between its pauses, in their order.
 
-    In a pause every channel misses several of its samples, or an input does that is not held: one
-    that is sent when it changes tells nothing by its silence. Parts too short to be used, or with
+    In a pause every channel misses several of its samples, or an input does, unless it is sent
+    when it changes: its silence tells that it stays. Parts too short to be used, or with
     one sample of an output, are left out, but where most samples are in such parts the record is
     returned as it is.
     """
     signals = (*record.inputs, *record.outputs)
     pauses = _silent(np.unique(np.concatenate([s.time for s in signals])), signals, record)
     for s in record.inputs:
-        if s.hold != 'zoh':
-            pauses += _silent(np.union1d(s.time, record.end), (s,), record)
+        if not _stays(s):
+            held = _usual(s.time) if s.hold == 'zoh' else 0.0
+            pauses += [(a + held, b) for a, b in _silent(np.union1d(s.time, record.end), (s,),
+                                                         record)]
     pauses = [(a, b) for a, b in pauses if b - a > _LONG * record.duration]
     if not pauses:
         return (record,)
@@ -98,16 +102,25 @@ def _silent(stamps: Array, signals: Sequence[Signal], record: Record
     return list(zip(stamps[before].tolist(), stamps[before + 1].tolist(), strict=True))
 
 
+def _usual(t: Array) -> float:
+    """Return the usual interval of stamps."""
+    return float(np.quantile(np.diff(t), _USUAL)) if len(t) > 1 else np.inf
+
+
+def _stays(signal: Signal) -> bool:
+    """Return whether a signal keeps its value while it is silent: it is sent when it changes."""
+    again = np.all(np.diff(signal.values, axis=0) == 0.0, axis=1)
+    return signal.hold == 'zoh' and float(np.sum(again)) <= _AGAIN * len(again)
+
+
 def _misses(signal: Signal, after: Array, record: Record) -> Mask:
     """Return whether a signal misses samples after some of these stamps."""
     t = signal.time
     if not len(t):
         return np.ones(len(after), dtype=bool)
-    usual = float(np.quantile(np.diff(t), _USUAL)) if len(t) > 1 else np.inf
-    # What was sent last is held.
-    end = t[-1] if signal.hold == 'zoh' else max(t[-1], record.end)
+    end = t[-1] if _stays(signal) else max(t[-1], record.end)
     own = np.diff(t, prepend=min(t[0], record.start), append=end)
-    return np.asarray(own[np.searchsorted(t, after, side='right')] > GAP_PERIODS * usual)
+    return np.asarray(own[np.searchsorted(t, after, side='right')] > GAP_PERIODS * _usual(t))
 
 
 def in_words(parts: Sequence[Record]) -> str:
