@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import doctest
 import importlib
+import re
 
 from marks import slow
 import numpy as np
@@ -30,6 +31,7 @@ from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.judge.changed import _divided
 from ctsid_core.likelihood.output_error import climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.model.verdict import Remedy
 from ctsid_core.search.solve import free_of
 from ctsid_core.signals.record import Signal
 
@@ -259,6 +261,55 @@ def test_a_plant_that_drifts_is_good_with_a_word(seed, how, words):
 def test_of_several_records_the_one_that_drifts_is_named():
     found = identify([drifting(0), drifting(1, gain=0.4)])
     assert any('the plant drifts within record 2:' in note for note in found.notes)
+
+
+def varying(seed, *gains, act=lambda u: u, size=1.0):
+    """Return 60 s of a pair under random switches; gains of its inputs are functions of time."""
+    rng, t, nu = np.random.default_rng(seed), 0.02 * np.arange(3000), len(gains)
+    u = np.column_stack([np.repeat(rng.choice([-1.0, 1.0], 200) * rng.uniform(0.3, 1.0, 200),
+                                   rng.integers(8, 40, 200))[:len(t)] for _ in gains])
+    u *= np.repeat([size, 1.0, size], 1000)[:, np.newaxis]
+    acts = act(u) * np.column_stack([np.vectorize(gain)(t) for gain in gains])
+    pair = plant([[0.0, 1.0], [-6.0, -3.0]], [[0.0] * nu, [6.0, 4.0][:nu]], [[1.0, 0.0]])
+    y = held_response(pair, t, acts, t)
+    return Record.from_arrays(t, u, t, noisy(rng, y, 26), input_hold='zoh')
+
+
+def still(t):
+    return 1.0
+
+
+def slips(t):
+    return 1.0 if t % 10.0 < 5.0 else 0.6
+
+
+@pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])
+@pytest.mark.parametrize(('gain', 'spread'), [
+    (slips, 0.25), (lambda t: 0.7 if 20.0 < t < 40.0 else 1.0, 0.16),
+    (lambda t: 1.0 + 0.25 * np.sin(2.0 * np.pi * t / 12.0), 0.18)])
+def test_a_gain_that_comes_back_is_not_good(gain, spread, seed):
+    """One division and a straight line do not follow it, and it was GOOD without a word."""
+    found = identify(varying(seed, gain))
+    assert found.verdict.grade is Grade.WEAK
+    assert found.verdict.remedy is Remedy.SPLIT
+    told = re.fullmatch(r'Gains change and come back \(of u1 by (\d+) % .*', found.verdict.reason)
+    assert 0.01 * float(told[1]) == pytest.approx(spread, abs=0.05)
+
+
+def test_of_several_inputs_and_records_those_whose_gains_vary_are_named():
+    found = identify([varying(3, still, still), varying(1, still, slips)])
+    assert found.verdict.reason.startswith(
+        'Gains change within record 2 and come back (of u2 by 2')
+
+
+@pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])
+@pytest.mark.parametrize(('gain', 'how'), [
+    (still, {}), (lambda t: 1.0 + 0.3 * (t / 60.0 - 0.5), {}),
+    (still, {'act': lambda u: np.tanh(1.5 * u), 'size': 0.4})])
+def test_what_drifts_or_saturates_does_not_come_back(gain, how, seed):
+    """An actuator that saturates has a smaller gain as long as it is moved far."""
+    found = identify(varying(seed, gain, **how))
+    assert not any('come back' in text for text in (found.verdict.reason, *found.notes))
 
 
 @pytest.mark.parametrize('every', [*slow(((1, 20),)), (20, 20), (20, 1)])

@@ -28,6 +28,7 @@ from ctsid_core.judge.rules import (
 )
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.judge.unmoved import unmoved_notes
+from ctsid_core.judge.varying import varying_gains
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.residuals import (
@@ -295,12 +296,14 @@ def _unheld(solution: Solution, moving: StateSpace) -> bool:
 
 def _drift(solution: Solution) -> Drift:
     """Return how the plant drifts; of one that predictions found if its predictor does, too."""
+    last = solution.part.parts[solution.part.last]
+    names = [last.whole.input_names[j] for j in last.u]
     if solution.drifting is not None:
-        last = solution.part.parts[solution.part.last]
-        return drift_of_inputs([last.whole.input_names[j] for j in last.u], solution.fit,
-                               solution.drifting)
+        return drift_of_inputs(names, solution.fit, solution.drifting)
     if solution.refit or solution.simulated is None:
         return Drift()
+    if not solution.by_prediction and (found := varying_gains(*solution.simulated, names)).cost:
+        return found
     drift = drift_of(*solution.simulated)
     return drift if not drift.cost or solution.plant is None or drift_of(
         *solution.source, least=0.0).cost else Drift()

@@ -32,7 +32,7 @@ class InputDrift(NamedTuple):
     """What changes of an input from the start of a record to its end; 0 if little."""
 
     name: str
-    gain: float         # by what part of itself
+    gain: float         # by what part of itself; if it comes back, the rms of that
     late: float         # by how much its dead time does [s]
 
 
@@ -44,6 +44,7 @@ class Drift(NamedTuple):
     late: bool = False      # whether dead times alone explain most of it
     inputs: tuple[InputDrift, ...] = ()     # of which the model is the mean, as far as it is known
     moved: float = 0.0      # the same over all records, of gains and dead times alone if known [%]
+    parts: float = 0.0      # if gains come back: the length of parts that have their own [s]
 
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:

@@ -137,6 +137,12 @@ def _changed(e: Evidence) -> str:
 
 def _drift(e: Evidence) -> str:
     """Return that the plant drifts, and how, in words."""
+    if e.drift.parts:
+        gains = ', '.join(f'of {one.name} by {100.0 * one.gain:.0f} %' for one in e.drift.inputs)
+        return (f'gains change{e.drifting} and come back ({gains} around the mean, rms): constant '
+                f'ones miss {e.drift.cost:.1f} % of the motion that those of parts of '
+                f'{e.drift.parts:.3g} s do not; take windows in which they stay, to find out when '
+                'and why')
     what, cure = ('the dead time drifts', f', or correct stamps by clocks that run apart '
                   f'({_BY_LOG})') if e.drift.late else ('the plant drifts', '')
     moves = ', '.join(f'the {name} of {one.name} by {value}' for one in e.drift.inputs
@@ -207,7 +213,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
             'how much; identify each side by itself.')
-    if e.drift.moved > _DRIFTED:
+    if e.drift.moved > _DRIFTED or (e.drift.parts and e.drift.cost > _CHANGED):
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:
         yield Remedy.SETTING, (

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals, fit_states, jacobian
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.least_squares import basis_of
+from ctsid_core.linear.least_squares import basis_of, least_norm
 from ctsid_core.linear.types import Array, Mask
 
+_TOLERANCE = 1e-4     # of what is left of columns beside others: less is rounding
 SEARCHED = 1200       # samples of a stream that are looked at
 
 Own = tuple[ModalModel, Free]              # a model, and what is free in it
@@ -31,7 +33,8 @@ class Left(NamedTuple):
     cost: float             # -2 log likelihood, and one for each of them
 
 
-class Slopes(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Slopes:
     """Derivatives of the simulation by what is free, outputs over the rms of their errors."""
 
     fit: Fit
@@ -54,18 +57,32 @@ class Slopes(NamedTuple):
         """The same of numbers that move in a straight line within each recording."""
         return self.rest * (self.shares - 0.5)[:, np.newaxis]
 
+    @cached_property
+    def _without(self) -> tuple[Array, Array]:
+        """A basis of the columns, and the errors without them."""
+        self.samples.effort.spend(0.6 * self.rows.size * self.rows.shape[1])
+        basis = basis_of(self.rows)
+        return basis, self.error - basis @ (basis.T @ self.error)
+
     def beside(self, more: Array) -> Left:
         """Return what further columns leave, at most half as many as there are samples."""
-        columns = np.hstack((self.rows, more))
-        if columns.shape[1] > MOST * len(self.error):
+        count, k = self.rows.shape
+        if k + more.shape[1] > MOST * count:
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        self.samples.effort.spend(0.6 * len(self.error) * columns.shape[1] ** 2)
-        own = basis_of(columns)
-        numbers = own.shape[1]
-        left = self.error - own @ (own.T @ self.error)
+        self.samples.effort.spend(0.6 * count * more.shape[1] * (2 * k + more.shape[1]))
+        basis, error = self._without
+        own = basis_of(more, basis)
+        numbers = basis.shape[1] + own.shape[1]
+        left = error - own @ (own.T @ error)
         errors = np.split(left, np.cumsum(self.counts)[:-1])
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
+
+    def weights(self, more: Array) -> Array:
+        """Return how much of each of further columns explains the errors best."""
+        basis, error = self._without
+        found = least_norm((more - basis @ (basis.T @ more)).T, error[np.newaxis], _TOLERANCE)
+        return np.asarray(found[0])
 
 
 def recordings(samples: Samples) -> list[int]:
