@@ -181,11 +181,12 @@ def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
 
 def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the best predictor near a start or near a filter of its plant; None: no plant."""
-    # Slower than what the regression sees are filters alone: else states fit what is before the
-    # record, and mislead elsewhere.
+    # Slower than what the regression sees are filters alone, of plants that do not grow: else
+    # states fit what is before the record, and mislead elsewhere.
     quick = replace(free, limit=min(free.limit, -_QUICK / held_interval(joint)))
     best = _nearby(joint, start, quick, last)
-    filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
+    filtered = _filter(joint, best, free) if best is not None and is_stable(
+        best.matrices) and not joint.effort.beyond(SEARCH) else None
     other = _nearby(joint, filtered, free, last) if filtered is not None else None
     return min((one for one in (best, other) if one is not None),
                key=lambda one: one.information, default=None)
@@ -216,7 +217,7 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
 
     The noise at each input has the same effect on the outputs, over the frequencies looked at.
     Predictors may be slower than the past of the regression, and climbs end before they are
-    there. With no noise in the plant poles are its own, those that grow mirrored.
+    there. With no noise in the plant poles are its own.
     """
     m, n = one.matrices, len(one.matrices.A)
     C = m.C / joint.size[:, np.newaxis]
