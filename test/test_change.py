@@ -263,12 +263,12 @@ def test_of_several_records_the_one_that_drifts_is_named():
     assert any('the plant drifts within record 2:' in note for note in found.notes)
 
 
-def varying(seed, *gains, act=lambda u: u, size=1.0):
+def varying(seed, *gains, act=lambda u: u, size=1.0, level=0.0):
     """Return 60 s of a pair under random switches; gains of its inputs are functions of time."""
     rng, t, nu = np.random.default_rng(seed), 0.02 * np.arange(3000), len(gains)
     u = np.column_stack([np.repeat(rng.choice([-1.0, 1.0], 200) * rng.uniform(0.3, 1.0, 200),
                                    rng.integers(8, 40, 200))[:len(t)] for _ in gains])
-    u *= np.repeat([size, 1.0, size], 1000)[:, np.newaxis]
+    u = level + u * np.repeat([size, 1.0, size], 1000)[:, np.newaxis]
     acts = act(u) * np.column_stack([np.vectorize(gain)(t) for gain in gains])
     pair = plant([[0.0, 1.0], [-6.0, -3.0]], [[0.0] * nu, [6.0, 4.0][:nu]], [[1.0, 0.0]])
     y = held_response(pair, t, acts, t)
@@ -283,9 +283,13 @@ def slips(t):
     return 1.0 if t % 10.0 < 5.0 else 0.6
 
 
+def carries(t):
+    return 0.7 if 21.3 < t < 39.0 else 1.0
+
+
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])
 @pytest.mark.parametrize(('gain', 'spread'), [
-    (slips, 0.25), (lambda t: 0.7 if 20.0 < t < 40.0 else 1.0, 0.16),
+    (slips, 0.25), (lambda t: slips(t + 1.3), 0.25), (carries, 0.15),
     (lambda t: 1.0 + 0.25 * np.sin(2.0 * np.pi * t / 12.0), 0.18)])
 def test_a_gain_that_comes_back_is_not_good(gain, spread, seed):
     """One division and a straight line do not follow it, and it was GOOD without a word."""
@@ -297,9 +301,24 @@ def test_a_gain_that_comes_back_is_not_good(gain, spread, seed):
 
 
 def test_of_several_inputs_and_records_those_whose_gains_vary_are_named():
-    found = identify([varying(3, still, still), varying(1, still, slips)])
+    found = identify([varying(3, still, still), varying(1, still, carries)])
     assert found.verdict.reason.startswith(
-        'Gains change within record 2 and come back (of u2 by 2')
+        'Gains change within record 2 and come back (of u2 by 1')
+
+
+@pytest.mark.parametrize('level', [0.5, *slow(1.0)])
+def test_a_robot_that_mainly_drives_forward_slips_too(level):
+    """The mean of an input is moved by a gain that jumps, as what it does beside that is."""
+    found = identify(varying(2, carries, level=level))
+    assert found.verdict.grade is Grade.WEAK
+    assert found.verdict.reason.startswith('Gains change and come back (of u1 by 1')
+
+
+def test_a_short_record_of_many_weighs_as_much_as_it_is_long():
+    records = [varying(seed, still) for seed in (3, 5, 6, 7, 8, 9)]
+    found = identify([*records, varying(1, slips).between(0.0, 20.0)])
+    assert found.good
+    assert any('perhaps gains change within record 7' in note for note in found.notes)
 
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])

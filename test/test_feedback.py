@@ -54,6 +54,50 @@ def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, se
     assert 'set point' in found.verdict.reason
 
 
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
+@pytest.mark.parametrize(('gain', 'integral', 'dither'), [
+    (2.0, 0.0, 0.0), (0.45, 1.0, 0.0), *slow((2.0, 0.0, 0.02))])
+def test_a_controller_that_answers_at_once_is_no_plant_with_a_direct_term(
+        gain, integral, dither, seed):
+    """A table with a row each: it was GOOD with 97 to 100 %, and minus one over the controller."""
+    rng, h, n = np.random.default_rng(seed), 0.02, 3000
+    step = expm(h * np.array([[0.0, 1.0, 0.0], [-16.0, -2.4, 16.0], [0.0, 0.0, 0.0]]))[:2]
+    x, load, total, y, u = np.zeros(2), 0.0, 0.0, np.empty(n), np.empty(n)
+    for k in range(n):
+        y[k] = x[0] + 0.01 * rng.standard_normal()
+        total -= integral * h * y[k]
+        u[k] = total - gain * y[k] + dither * rng.standard_normal()
+        load = 0.99 * load + 0.02 * rng.standard_normal()
+        x = step @ np.append(x, u[k] + load)
+    t = h * np.arange(n)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert found.verdict.grade is not Grade.GOOD
+    if not dither:
+        assert found.verdict.reason.endswith('set `feedthrough: false`.')
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
+@pytest.mark.parametrize('kind', ['sines', 'noise', *slow('stick', 'switches')])
+def test_a_plant_with_a_direct_term_is_no_controller(kind, seed):
+    """Outputs of the same instant tell its inputs, too, but not as its response does."""
+    rng, h, n = np.random.default_rng(seed), 0.02, 2000
+    t = h * np.arange(n)
+    u = {'sines': sum(np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 6.0))
+                      for f in (0.1, 0.3, 0.7, 1.1, 1.9, 3.1, 5.3)),
+         'noise': rng.standard_normal(n),
+         'stick': np.convolve(rng.standard_normal(n + 50), np.ones(51) / 7.0, 'valid'),
+         'switches': np.repeat(rng.choice([-1.0, 1.0], n // 20), 20)}[kind]
+    step = expm(h * np.array([[0.0, 1.0, 0.0], [-16.0, -2.4, 16.0], [0.0, 0.0, 0.0]]))[:2]
+    x, y = np.zeros(2), np.empty(n)
+    for k in range(n):
+        y[k] = x[0] + 0.5 * u[k]
+        x = step @ np.append(x, u[k])
+    y += 0.02 * y.std() * rng.standard_normal(n)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert found.good
+    assert found.model.D[0, 0] == pytest.approx(0.5, abs=0.02)
+
+
 @pytest.mark.parametrize('share', [0.1, *slow(0.005)])
 def test_samples_that_were_lost_on_the_way_hide_nothing(share):
     record, rng = held_in_place(1), np.random.default_rng(0)

@@ -250,8 +250,9 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))
-    away = _spread_out(distance_to_controller(
-        [p.record for p in part.parts], moving, seen[0]), last.u, whole.nu, np.inf)
+    away, at_once = (_spread_out(distance_to_controller(
+        [p.record for p in part.parts], moving, seen[0], same), last.u, whole.nu, np.inf)
+        for same in (False, True))
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
@@ -281,6 +282,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         doubt=_too_late(solution, seen[0]) or solution.doubt, wrapped=_wrapped(part),
         distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
+        at_once=tuple(at_once.tolist()) if model.D.any() else (),
         within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
@@ -302,11 +304,13 @@ def _drift(solution: Solution) -> Drift:
         return drift_of_inputs(names, solution.fit, solution.drifting)
     if solution.refit or solution.simulated is None:
         return Drift()
-    if not solution.by_prediction and (found := varying_gains(*solution.simulated, names)).cost:
-        return found
     drift = drift_of(*solution.simulated)
-    return drift if not drift.cost or solution.plant is None or drift_of(
-        *solution.source, least=0.0).cost else Drift()
+    if drift.cost and solution.plant is not None and not drift_of(*solution.source,
+                                                                  least=0.0).cost:
+        drift = Drift()
+    varying = varying_gains(*solution.simulated, names, [
+        p.u_level for p in solution.part.parts])
+    return max(drift, varying, key=lambda one: one.cost)
 
 
 def _within(solution: Solution) -> float:

@@ -44,7 +44,7 @@ class Drift(NamedTuple):
     late: bool = False      # whether dead times alone explain most of it
     inputs: tuple[InputDrift, ...] = ()     # of which the model is the mean, as far as it is known
     moved: float = 0.0      # the same over all records, of gains and dead times alone if known [%]
-    parts: float = 0.0      # if gains come back: the length of parts that have their own [s]
+    jumps: int = 0          # how often gains jump, if they come back
 
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:
@@ -53,9 +53,13 @@ def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Dr
         return Drift()
     found = max((_of_recording(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
                  for k in recordings(samples)), key=lambda drift: drift.cost, default=Drift())
+    return over_all(found, samples)
+
+
+def over_all(found: Drift, samples: Samples) -> Drift:
+    """Return a drift with what it costs of all motion: of a short record that is a small part."""
     if found.record < 0:
         return found
-    # Of all motion the drift of a short record, the largest of many, is a small part.
     share = np.sum(only(samples, found.record).counts) / np.sum(samples.counts)
     return found._replace(moved=found.cost * float(np.sqrt(share)))
 

@@ -39,24 +39,29 @@ _SMOOTH = 1e-10       # power of changes that its own past does not tell: less, 
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
 _NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
+_MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
 _RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
 def distance_to_controller(records: Sequence[Record], model: StateSpace,
-                           excited: Sequence[Excitation]) -> Array:
+                           excited: Sequence[Excitation], same_instant: bool = False) -> Array:
     """
     Return how far a model is from minus one over the controller, for each input, (nu,).
 
     The median over the excited band of the size of the input's row of 1 + C G, every octave alike,
     of the record with the least. Infinite if the outputs' past tells no more of how the input
-    changes than its own past does: then no controller is seen.
+    changes than its own past does: then no controller is seen. If outputs follow the inputs at
+    once, outputs of the same instant tell of both: they count for `same_instant` alone, and of
+    inputs that never rest while outputs move, as a controller that answers at once does not.
     """
+    before = bool(model.D.any()) and not same_instant
     found = np.full((len(records), model.nu), np.inf)
     for row, record in zip(found, records, strict=True):
         j = 0
         for signal in record.inputs:
-            for answer in _answers(signal, record, bool(model.D.any())):
-                if answer is not None:
+            rests = _rests(signal, record) if same_instant else [0.0] * signal.width
+            for answer, rest in zip(_answers(signal, record, before), rests, strict=True):
+                if answer is not None and rest <= _MOVING * signal.period:
                     row[j] = _distance(answer, signal.period, model, j, excited[j])
                 j += 1
     return np.asarray(found.min(axis=0))

@@ -137,12 +137,12 @@ def _changed(e: Evidence) -> str:
 
 def _drift(e: Evidence) -> str:
     """Return that the plant drifts, and how, in words."""
-    if e.drift.parts:
+    if e.drift.jumps:
         gains = ', '.join(f'of {one.name} by {100.0 * one.gain:.0f} %' for one in e.drift.inputs)
-        return (f'gains change{e.drifting} and come back ({gains} around the mean, rms): constant '
-                f'ones miss {e.drift.cost:.1f} % of the motion that those of parts of '
-                f'{e.drift.parts:.3g} s do not; take windows in which they stay, to find out when '
-                'and why')
+        return (f'gains change{e.drifting} and come back ({gains} around the mean, rms; '
+                f'{e.drift.jumps} jumps explain it): constant ones miss {e.drift.cost:.1f} % of '
+                'the motion; take windows in which they stay (if small commands are ignored, move '
+                'the input more)')
     what, cure = ('the dead time drifts', f', or correct stamps by clocks that run apart '
                   f'({_BY_LOG})') if e.drift.late else ('the plant drifts', '')
     moves = ', '.join(f'the {name} of {one.name} by {value}' for one in e.drift.inputs
@@ -199,6 +199,12 @@ def _leads(e: Evidence, j: int) -> str:
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     yield from _faults(e)
+    for j in np.flatnonzero(np.array(e.at_once) < _CONTROLLER).tolist():
+        yield Remedy.SETTING, (
+            f'Outputs tell at once how input {e.input_names[j]} moves, and the response to it is '
+            f'minus one over that, to {100 * e.at_once[j]:.0f} %: it may be a controller that '
+            'computes the input from outputs of the same instant; if outputs do not follow inputs '
+            'at once, set `feedthrough: false`.')
     if e.unproven:
         yield Remedy.SETTING, (
             f'The model is unstable (a mode grows as exp({np.max(e.poles.real):.2g} t)), and a '
@@ -209,12 +215,12 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             'inputs rest for too long, or are not computed from the outputs; these may have been '
             'filtered forward and backward in time (filtfilt, a centred mean), or what holds the '
             'plant is not among the inputs; take what the sensor sent.')
+    if e.drift.moved > (_CHANGED if e.drift.jumps else _DRIFTED):
+        yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
             'how much; identify each side by itself.')
-    if e.drift.moved > _DRIFTED or (e.drift.parts and e.drift.cost > _CHANGED):
-        yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '

@@ -15,10 +15,9 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals, fit_states, jacobian
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.least_squares import basis_of, least_norm
+from ctsid_core.linear.least_squares import basis_of
 from ctsid_core.linear.types import Array, Mask
 
-_TOLERANCE = 1e-4     # of what is left of columns beside others: less is rounding
 SEARCHED = 1200       # samples of a stream that are looked at
 
 Own = tuple[ModalModel, Free]              # a model, and what is free in it
@@ -78,11 +77,10 @@ class Slopes:
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 
-    def weights(self, more: Array) -> Array:
-        """Return how much of each of further columns explains the errors best."""
+    def without(self, more: Array) -> tuple[Array, Array]:
+        """Return further columns, and the errors, without what the columns explain of them."""
         basis, error = self._without
-        found = least_norm((more - basis @ (basis.T @ more)).T, error[np.newaxis], _TOLERANCE)
-        return np.asarray(found[0])
+        return more - basis @ (basis.T @ more), error
 
 
 def recordings(samples: Samples) -> list[int]:

@@ -1,118 +1,147 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Does a gain change and come back? What one gain misses, and gains of parts of the record do not.
+Does a gain change and come back? What one gain misses, and one that jumps at some instants not.
 
 Wheels slip on one floor and not on the next, a gripper picks up and puts down, a supply sags under
 other loads: no division of the record and no straight line in time follows that, and the model is
-right at no time. Looked at to first order: what each input moves, apart in each part of the
-record. How many errors are independent say those of one gain, which are of one sign for long where
-gains vary, as they are in gusts: what is slow by chance does not count.
+right at no time. Looked at to first order, jump by jump, the one that explains most first
+(orthogonal matching pursuit). How many errors are independent say those of one gain beside a drift
+or curves: they are of one sign for long where gains vary, and in gusts, and what is slow by chance
+does not count.
+
+References
+----------
+Pati, Rezaiifar and Krishnaprasad 1993, Asilomar Conference (orthogonal matching pursuit).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.drift import Drift, InputDrift
-from ctsid_core.judge.slopes import (
-    SEARCHED,
-    Left,
-    Own,
-    Slopes,
-    in_records,
-    only,
-    recordings,
-    slopes_of,
-)
-from ctsid_core.likelihood.output_error import Fit, Free
-from ctsid_core.likelihood.residuals import coloured_power, independent
+from ctsid_core.judge.drift import Drift, InputDrift, over_all
+from ctsid_core.judge.slopes import SEARCHED, Own, Slopes, in_records, only, recordings, slopes_of
+from ctsid_core.likelihood.output_error import Fit, Free, Residuals
+from ctsid_core.likelihood.residuals import coloured_power, independent, mean_square
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 
-_PARTS = (3, 6, 12, 24)   # of a record, alike in length, that have gains of their own
-_LEFT = 0.3               # power of errors, noise apart, that these may leave of what others do
+_INSTANTS = 48        # parts of a record, between which a gain may jump, ...
+_MOST = 20            # ... so many times
+_LEFT = 0.3           # power of errors, noise apart, that jumps may leave of what others do
+_NOTHING = 1e-4       # of a column: less is left of it by rounding
 _ASKED = 'whether gains vary'
 
 
-def varying_gains(samples: Samples, fit: Fit, free: Free, names: Sequence[str]) -> Drift:
-    """Return how gains vary in the record where that costs most, if more than `NOTED` [%]."""
+def varying_gains(samples: Samples, fit: Fit, free: Free, names: Sequence[str],
+                  means: Sequence[Array]) -> Drift:
+    """
+    Return how gains vary in the record where that costs most, if more than `NOTED` [%].
+
+    `means` are those of the inputs in each record, (nu,), which the samples are without.
+    """
     if not np.max(fit.power) > (0.01 * NOTED) ** 2:
         return Drift()
-    return max((_of_recording(only(samples, k).thinned(SEARCHED), (fit.model, free), k, names)
-                for k in recordings(samples)), key=lambda one: one.cost, default=Drift())
+    found = max((_of_recording(samples, (fit.model, free), k, names, means)
+                 for k in recordings(samples)), key=lambda one: one.cost, default=Drift())
+    return over_all(found, samples)
 
 
-def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str]) -> Drift:
+def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
+                  means: Sequence[Array]) -> Drift:
+    means = [mean for r, mean in zip(samples.records, means, strict=True)
+             if r.recording == samples.records[place].recording and r.end > r.start]
+    samples = only(samples, place).thinned(SEARCHED // 2)
     if not samples.counts.all() or samples.effort.leaves_out(_ASKED):
         return Drift()
-    slopes, most = slopes_of(samples, own), max(_PARTS)
+    slopes = slopes_of(samples, own)
     rival = min((slopes.beside(more) for more in (slopes.drift, curves_of(samples, slopes.fit))),
                 key=lambda left: left.cost)
     if not rival.errors:
         return Drift()
-    n_eff, before, noisy = _known(slopes, rival)
-    price = float(np.log(max(float(np.max(n_eff)), 2.0)))
-    steps = np.array([_from_then_on(slopes, k / most) for k in range(most)])
+    errors = _errors(slopes, np.concatenate(rival.errors))
+    n_eff, before, noisy = independent(errors), mean_square(errors), coloured_power(errors)
+    if not np.max(noisy) > (0.01 * NOTED) ** 2:
+        return Drift()
+    price = 2.0 * float(np.log(max(float(np.max(n_eff)), 2.0)))     # its size and its instant
+    moves = np.array([_from_then_on(slopes, k / _INSTANTS, means) for k in range(_INSTANTS)])
     found, worth = Drift(), 0.0
     # Of one input, or of all of them alike, as where a battery sags
-    for inputs in {*((j,) for j in range(samples.nu)), tuple(range(samples.nu))}:
-        moved = steps[:, :, inputs].sum(axis=2)
-        for count in _PARTS:
-            left = slopes.beside(moved[most // count::most // count].T)
-            if not left.errors:
-                break
-            _, after, coloured = _known(slopes, left)
-            gain = float(n_eff @ np.log(before / after)) - price * (count - 1)
-            i = int(np.argmax(before - after))
+    for inputs in dict.fromkeys((*((j,) for j in range(samples.nu)), tuple(range(samples.nu)))):
+        moved = moves[:, :, inputs].sum(axis=2)
+        for jumps, left in _jumps(slopes, moved[1:].T):
+            errors = _errors(slopes, left)
+            gain = float(n_eff @ np.log(before / mean_square(errors))) - price * len(jumps)
+            coloured = coloured_power(errors)
+            i = int(np.argmax(noisy - coloured))
             if gain > worth and coloured[i] < _LEFT * noisy[i]:
-                worth, spread = gain, _spread(slopes, moved[::most // count])
-                found = Drift(
-                    place, 100.0 * float(np.sqrt((before - after)[i])),
-                    inputs=tuple(InputDrift(names[j], spread, 0.0) for j in inputs),
-                    parts=float(np.diff(samples.records[0].span)[0]) / count)
+                worth, spread = gain, _spread(slopes, moved, np.sort(jumps) + 1)
+                found = Drift(place, 100.0 * float(np.sqrt((noisy - coloured)[i])), inputs=tuple(
+                    InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps))
     return found if found.cost > NOTED else Drift()
 
 
-def _from_then_on(slopes: Slopes, share: float) -> Array:
+def _errors(slopes: Slopes, errors: Array) -> Residuals:
+    """Return errors over those of one gain as errors over the motion."""
+    parts = np.split(errors, np.cumsum(slopes.counts.astype(int))[:-1])
+    return in_records([size * e[:, np.newaxis] for e, size in zip(
+        parts, np.sqrt(slopes.fit.power.ravel()), strict=True)], slopes.samples)
+
+
+def _jumps(slopes: Slopes, columns: Array) -> Iterator[tuple[list[int], Array]]:
+    """Yield the columns that explain most beside those before, and the errors that are left."""
+    slopes.samples.effort.spend(2.0 * columns.size * slopes.rows.shape[1])
+    columns, error = slopes.without(columns)
+    least, found = _NOTHING * np.linalg.norm(columns, axis=0), list[int]()
+    while len(found) < _MOST:
+        slopes.samples.effort.spend(3.0 * columns.size)
+        size = np.linalg.norm(columns, axis=0)
+        tells = np.where(size > least, np.abs(error @ columns) / np.maximum(size, 1e-300), 0.0)
+        if not np.max(tells) > 0.0:
+            return
+        found.append(int(np.argmax(tells)))
+        best = columns[:, found[-1]] / size[found[-1]]
+        error = error - best * (best @ error)
+        columns = columns - np.multiply.outer(best, best @ columns)
+        yield found.copy(), error
+
+
+def _from_then_on(slopes: Slopes, share: float, means: Sequence[Array]) -> Array:
     """
     Return what inputs move from an instant on, by themselves, (N, nu), outputs over errors.
 
-    It is what they move at all, less what is left of that by then, which decays.
+    It is what they move at all, less what is left of that by then, which decays; and what their
+    means move from then on.
     """
     samples, model = slopes.samples, slopes.fit.model
     found: list[Array] = []
-    for record, triangles, power in zip(samples.records, slopes.fit.columns.triangles,
-                                        slopes.fit.power, strict=True):
+    for record, triangles, power, mean in zip(samples.records, slopes.fit.columns.triangles,
+                                              slopes.fit.power, means, strict=True):
         start, end = record.span
         for s, t in zip(record.streams, triangles, strict=True):
             later = s.times >= start + share * (end - start)
             times, z, u = s.times[later], t.z[later, :, :samples.nu], t.u[later]
-            z = z - z[:1] * np.exp(np.multiply.outer(
-                times - times[:1], model.poles))[:, :, np.newaxis]
+            decay = np.multiply.outer(times - times[:1], model.poles)
+            steps = np.where(model.poles == 0.0, (times - times[:1])[:, np.newaxis],
+                             np.expm1(decay) / np.where(model.poles == 0.0, 1.0, model.poles))
+            z = z - z[:1] * np.exp(decay)[:, :, np.newaxis] + np.multiply.outer(steps, mean)
             moved = np.zeros((s.y.shape[1], len(later), samples.nu))
-            moved[:, later] = (np.einsum('im,mj,tmj->itj', model.c[s.channels], model.b, z).real
-                               + u * model.D[s.channels, np.newaxis])
+            residues = model.c[s.channels].T * model.b.T[:, :, np.newaxis]      # (nu, m, channels)
+            moved[:, later] = (z.transpose(2, 0, 1) @ residues).real.transpose(2, 1, 0) \
+                + (u + mean) * model.D[s.channels, np.newaxis]
             moved /= np.sqrt(power[s.channels])[:, np.newaxis, np.newaxis]
             found.extend(moved)
     return np.concatenate(found)
 
 
-def _known(slopes: Slopes, left: Left) -> tuple[Array, Array, Array]:
-    """Return how many errors are independent, their power, and that without noise, (ny,)."""
-    samples = slopes.samples
-    errors = in_records([e[:, np.newaxis] for e in left.errors], samples)
-    power = samples.mean(left.power.reshape(-1, samples.ny) * slopes.fit.power)
-    return independent(errors), power, coloured_power(errors)
-
-
-def _spread(slopes: Slopes, steps: Array) -> float:
-    """Return by how much the gains of parts differ, rms over what is moved in them."""
-    found = slopes.weights(steps[1:].T)
-    gains = np.append(0.0, np.cumsum(found))[
-        np.minimum((slopes.shares * len(steps)).astype(int), len(steps) - 1)]
-    mean = np.average(gains, weights=steps[0] ** 2)
-    return float(np.sqrt(np.average((gains - mean) ** 2, weights=steps[0] ** 2)))
+def _spread(slopes: Slopes, moved: Array, at: Array) -> float:
+    """Return the rms by which a gain that jumps differs from its mean, over what is moved."""
+    columns, error = slopes.without(moved[at].T)
+    jumps = np.linalg.lstsq(columns, error, rcond=_NOTHING)[0]
+    gains = np.append(0.0, np.cumsum(jumps))[
+        np.searchsorted(at, (slopes.shares * _INSTANTS).astype(int), side='right')]
+    mean = np.average(gains, weights=moved[0] ** 2)
+    return float(np.sqrt(np.average((gains - mean) ** 2, weights=moved[0] ** 2)))

@@ -21,9 +21,10 @@ DISTURBED = 0.35        # error that is not white noise, over the motion: a simu
 
 # What it looks like if a setting is not right, in words, and that setting
 Doubt = tuple[str, str]
-# Those of an order that is given and too small or too large, and of dead times that are given and
-# not these: what they leave is explained by curves, or by signals that are missing, too
-ANY_ORDER, ANY_DELAY = GIVEN = ('order: 0', 'delay: auto')
+# Those of an order that is given and too small or too large, of dead times that are given and not
+# these, and of D beside a mode that grows: what they leave is explained by curves, or by signals
+# that are missing, too
+ANY_ORDER, ANY_DELAY, NO_DIRECT = GIVEN = ('order: 0', 'delay: auto', 'feedthrough: false')
 OTHER_HOLD = '.hold: '  # after the name of an input, before what it should be
 
 

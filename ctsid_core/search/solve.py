@@ -42,6 +42,7 @@ from ctsid_core.search.solution import (
     ANY_ORDER,
     DISTURBED,
     GROWS,
+    NO_DIRECT,
     OTHER_HOLD,
     Doubt,
     Solution,
@@ -400,7 +401,7 @@ def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Setti
         what = 'predictions find a mode that grows' \
             if grows else 'modes hardly move within the record'
         return (f'{what}, as when a controller keeps an unstable plant in place',
-                'feedthrough: false')
+                NO_DIRECT)
     # One that goes on is no D.
     if not own.feedthrough and np.max(-poles.real, initial=0.0) > _AT_ONCE * free.fastest:
         return ('a mode decays nearly as fast as any that is looked for, as when outputs follow '
