@@ -67,11 +67,11 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
     if not np.max(noisy) > (0.01 * NOTED) ** 2:
         return Drift()
     price = 2.0 * float(np.log(max(float(np.max(n_eff)), 2.0)))     # its size and its instant
-    moves = np.array([_from_then_on(slopes, k / _INSTANTS, means) for k in range(_INSTANTS)])
+    gains = _moved(slopes, means)
     found, worth = Drift(), 0.0
     # Of one input, or of all of them alike, as where a battery sags
     for inputs in dict.fromkeys((*((j,) for j in range(samples.nu)), tuple(range(samples.nu)))):
-        moved = moves[:, :, inputs].sum(axis=2)
+        moved = gains[:, :, inputs].sum(axis=2)
         for jumps, left in _jumps(slopes, moved[1:].T):
             errors = _errors(slopes, left)
             gain = float(n_eff @ np.log(before / mean_square(errors))) - price * len(jumps)
@@ -81,7 +81,13 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
                 worth, spread = gain, _spread(slopes, moved, np.sort(jumps) + 1)
                 found = Drift(place, 100.0 * float(np.sqrt((noisy - coloured)[i])), inputs=tuple(
                     InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps))
-    return found if found.cost > NOTED else Drift()
+                best = coloured
+    # Gusts are jumps of a load, which those of a gain imitate.
+    imitated = found.cost > NOTED and any(
+        not np.any(best < _LEFT * coloured_power(_errors(slopes, left)))
+        for load in _moved(slopes, None).T for jumps, left in _jumps(slopes, load[:, 1:])
+        if len(jumps) == found.jumps)
+    return found if found.cost > NOTED and not imitated else Drift()
 
 
 def _errors(slopes: Slopes, errors: Array) -> Residuals:
@@ -109,32 +115,42 @@ def _jumps(slopes: Slopes, columns: Array) -> Iterator[tuple[list[int], Array]]:
         yield found.copy(), error
 
 
-def _from_then_on(slopes: Slopes, share: float, means: Sequence[Array]) -> Array:
+def _moved(slopes: Slopes, means: Sequence[Array] | None) -> Array:
     """
-    Return what inputs move from an instant on, by themselves, (N, nu), outputs over errors.
+    Return what inputs move from each instant on, (instants, N, nu), outputs over errors.
 
-    It is what they move at all, less what is left of that by then, which decays; and what their
-    means move from then on.
+    By themselves: what they move at all, less what is left of that by then, which decays, and
+    what their `means` move. Without these what a constant load at each of them moves.
     """
     samples, model = slopes.samples, slopes.fit.model
-    found: list[Array] = []
-    for record, triangles, power, mean in zip(samples.records, slopes.fit.columns.triangles,
-                                              slopes.fit.power, means, strict=True):
+    found = np.zeros((_INSTANTS, len(slopes.error), samples.nu))
+    at = 0
+    for r, (record, triangles) in enumerate(zip(samples.records, slopes.fit.columns.triangles,
+                                                strict=True)):
+        mean = np.ones(samples.nu) if means is None else means[r]
         start, end = record.span
         for s, t in zip(record.streams, triangles, strict=True):
-            later = s.times >= start + share * (end - start)
-            times, z, u = s.times[later], t.z[later, :, :samples.nu], t.u[later]
-            decay = np.multiply.outer(times - times[:1], model.poles)
-            steps = np.where(model.poles == 0.0, (times - times[:1])[:, np.newaxis],
-                             np.expm1(decay) / np.where(model.poles == 0.0, 1.0, model.poles))
-            z = z - z[:1] * np.exp(decay)[:, :, np.newaxis] + np.multiply.outer(steps, mean)
-            moved = np.zeros((s.y.shape[1], len(later), samples.nu))
-            residues = model.c[s.channels].T * model.b.T[:, :, np.newaxis]      # (nu, m, channels)
-            moved[:, later] = (z.transpose(2, 0, 1) @ residues).real.transpose(2, 1, 0) \
-                + (u + mean) * model.D[s.channels, np.newaxis]
-            moved /= np.sqrt(power[s.channels])[:, np.newaxis, np.newaxis]
-            found.extend(moved)
-    return np.concatenate(found)
+            (count, channels), size = s.y.shape, np.sqrt(slopes.fit.power[r, s.channels])
+            residues = (model.c[s.channels] / size[:, np.newaxis]).T \
+                * model.b.T[:, :, np.newaxis]                           # (nu, m, channels)
+            direct = (model.D[s.channels] / size[:, np.newaxis]).T[:, np.newaxis]
+            inputs = (t.z[:, :, :samples.nu], t.u) if means is not None else (
+                np.zeros((count, len(model.poles), samples.nu)), np.zeros((count, samples.nu)))
+            for k in range(_INSTANTS):
+                first = int(np.searchsorted(s.times, start + k / _INSTANTS * (end - start)))
+                z, u = (one[first:] for one in inputs)
+                since = s.times[first:, np.newaxis] - s.times[first:first + 1]
+                rising = np.where(model.poles == 0.0, since, np.expm1(since * model.poles)
+                                  / np.where(model.poles == 0.0, 1.0, model.poles))
+                z = z - z[:1] * np.exp(since * model.poles)[:, :, np.newaxis] \
+                    + np.multiply.outer(rising, mean)
+                moved = (z.transpose(2, 0, 1) @ residues).real \
+                    + (u + mean).T[:, :, np.newaxis] * direct           # (nu, N, channels)
+                places = at + first + count * np.arange(channels)[:, np.newaxis] \
+                    + np.arange(count - first)
+                found[k, places] = moved.transpose(2, 1, 0)
+            at += count * channels
+    return found
 
 
 def _spread(slopes: Slopes, moved: Array, at: Array) -> float:
