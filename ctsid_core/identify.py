@@ -18,6 +18,7 @@ from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
+from ctsid_core.search.lost_inputs import lost_inputs
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import solve
 from ctsid_core.search.tried import SEARCH
@@ -126,6 +127,10 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         return solve_by(method, part, settings, effort)
 
     solution = given_back(part, found, effort)
+    if solution is not None and lost_inputs(solution) and not effort.beyond(SEARCH):
+        other = join_records(records, settings.with_known_delays(), effort.check, lost=True)
+        if not isinstance(other, Unusable):
+            solution = given_back(other, found, effort) or solution
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
                                  spent=effort.beyond(SEARCH))

@@ -123,12 +123,12 @@ def test_a_measured_input_that_is_missing_is_a_pause():
 
 
 @pytest.mark.parametrize('seed', [5, *slow(6, 7, 8)])
-def test_a_held_input_that_is_sent_again_and_falls_silent_is_a_pause(seed):
+def test_a_held_input_that_went_on_while_it_was_silent_pauses(seed):
     """A recorder lost a command that went on, and the robot moved: outputs had no cause."""
     t_u, u, t_y, y = moved(seed)
     lost = (t_u > 5.0) & (t_u < 7.0)
     given = Record.from_arrays(t_u[~lost], u[~lost], t_y, y, input_hold='zoh')
-    first, second = between_pauses(given)
+    first, second = between_pauses(given, lost=True)
     # What was sent last, at 4.98 s, is known for as long as a usual interval.
     assert (first.end, second.start) == pytest.approx((5.0, 7.0))
     found = identify(given)
@@ -137,11 +137,18 @@ def test_a_held_input_that_is_sent_again_and_falls_silent_is_a_pause(seed):
     assert any('nothing to be used from 5.0 to 7.0 s' in note for note in found.notes)
 
 
-def test_a_held_input_that_is_sent_when_it_changes_does_not_pause():
-    t_u, u, t_y, y = moved(5)
-    changes = np.append(True, np.diff(u[:, 0]) != 0.0) & ((t_u < 5.0) | (t_u > 7.0))
-    given = Record.from_arrays(t_u[changes], u[changes], t_y, y, input_hold='zoh')
-    assert between_pauses(given) == (given,)
+@pytest.mark.parametrize('seed', [5, *slow(6, 7, 8)])
+@pytest.mark.parametrize('again', [1, 5])
+def test_a_held_input_that_stays_while_it_is_silent_does_not_pause(again, seed):
+    """Sent when it changes, as goals are, or a few times, as while a key is held."""
+    t_u, u, t_y, y = moved(seed)
+    changes = np.flatnonzero(np.append(True, np.diff(u[:, 0]) != 0.0))
+    sent = np.unique(np.minimum(changes[:, np.newaxis] + np.arange(again), len(t_u) - 1))
+    given = Record.from_arrays(t_u[sent], u[sent], t_y, y, input_hold='zoh')
+    found = identify(given)
+    assert found.good
+    assert off(found) < 0.01
+    assert not any('pause' in note or 'nothing to be used' in note for note in found.notes)
 
 
 def test_samples_that_come_in_bursts_are_no_parts():
@@ -358,7 +365,7 @@ def test_a_channel_with_a_single_sample_in_a_part_is_no_reason_to_fail():
     other = Signal(np.array([0.0, 0.5, 5.0, 11.9]), np.ones((4, 1)) * [[0], [1], [0], [1]], 'zoh')
     given = recorded(t_u, u, t_y, y, (4.0, 6.0))
     both = Record.from_signals((*given.inputs, other), given.outputs)
-    assert len(between_pauses(both)) == 2
+    assert between_pauses(both) == (both,)
     identify(both)
 
 

@@ -97,15 +97,17 @@ class Joint:
 
 
 def join_records(records: Sequence[Record], settings: Settings,
-                 check: Callable[[], None] = lambda: None) -> Joint | Unusable:
+                 check: Callable[[], None] = lambda: None, *,
+                 lost: bool = False) -> Joint | Unusable:
     """
     Return what can be used of records of the same channels, or why nothing can.
 
     A record is in parts where it pauses. A channel moves if it moves in any of them. A record that
-    is too short is left out and noted. `check` is called often. Raises `SettingsError` if
+    is too short is left out and noted. What held inputs were sent while they are silent may be
+    `lost`. `check` is called often. Raises `SettingsError` if
     `settings.delay` does not fit the number of inputs.
     """
-    divided = [between_pauses(record) for record in records]
+    divided = [between_pauses(record, lost) for record in records]
     given = [(number, part) for number, own in enumerate(divided, 1) for part in own]
     remarks = [by_clock(note, 0.0, f'record {number}') if len(records) > 1 else note
                for number, own in enumerate(divided, 1) if (note := in_words(own))]

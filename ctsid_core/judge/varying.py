@@ -138,6 +138,8 @@ def _moved(slopes: Slopes, means: Sequence[Array] | None) -> Array:
                 np.zeros((count, len(model.poles), samples.nu)), np.zeros((count, samples.nu)))
             for k in range(_INSTANTS):
                 first = int(np.searchsorted(s.times, start + k / _INSTANTS * (end - start)))
+                if first == count:
+                    break
                 z, u = (one[first:] for one in inputs)
                 since = s.times[first:, np.newaxis] - s.times[first:first + 1]
                 rising = np.where(model.poles == 0.0, since, np.expm1(since * model.poles)

@@ -2,10 +2,10 @@
 """
 Pauses of a record: where samples are missing, and nobody knows what inputs did.
 
-Outputs need not be known all the time. Where an input is not that is sent whether it changes or
-not, or where all channels are silent at a time (a network that drops out, a recorder that is
-paused or cannot keep up), states, and what inputs hold, begin anew after it. What is before and
-what is after are as two records of one plant.
+Outputs need not be known all the time. Where a measured input is not, or a held one that did not
+stay as it was sent last, or where all channels are silent at a time (a network that drops out, a
+recorder that is paused or cannot keep up), states, and what inputs hold, begin anew after it. What
+is before and what is after are as two records of one plant.
 """
 
 from __future__ import annotations
@@ -28,27 +28,24 @@ _LONG = 0.01            # of a record: shorter pauses are bridged, for each cost
 _MANY = 5               # times as many as any part has: a short experiment in a long recording
 _LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now, ...
 _BEFORE = 2.0           # ... if it is longer than any before it, so many times
-_AGAIN = 0.1            # of the samples of a held input that repeat its value: of more, it is sent
-                        # whether it changes or not, and silence tells that it is lost
 FEWEST = 20             # samples of an output in what can be used
 
 
-def between_pauses(record: Record) -> tuple[Record, ...]:
+def between_pauses(record: Record, lost: bool = False) -> tuple[Record, ...]:
     """
     Return the parts of a record between its pauses, in their order.
 
-    In a pause every channel misses several of its samples, or an input does, unless it is sent
-    when it changes: its silence tells that it stays. Parts too short to be used, or with
-    one sample of an output, are left out, but where most samples are in such parts the record is
-    returned as it is.
+    In a pause every channel misses several of its samples, or an input does that is not held; or,
+    if what was sent was `lost`, one that is. Else it stays while it is silent. Parts too short to
+    be used, or with one sample of an output, are left out, but where most samples are in such
+    parts the record is returned as it is.
     """
     signals = (*record.inputs, *record.outputs)
     pauses = _silent(np.unique(np.concatenate([s.time for s in signals])), signals, record)
     for s in record.inputs:
-        if not _stays(s):
-            held = _usual(s.time) if s.hold == 'zoh' else 0.0
-            pauses += [(a + held, b) for a, b in _silent(np.union1d(s.time, record.end), (s,),
-                                                         record)]
+        if s.hold != 'zoh':
+            pauses += _silent(np.union1d(s.time, record.end), (s,), record)
+    pauses += silences(record) if lost else []
     pauses = [(a, b) for a, b in pauses if b - a > _LONG * record.duration]
     if not pauses:
         return (record,)
@@ -65,6 +62,12 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     if sum(map(sum, compress(counts, kept))) > 0.5 * sum(map(sum, counts)):
         return tuple(compress(parts, kept))
     return (record,)
+
+
+def silences(record: Record) -> list[tuple[float, float]]:
+    """Return where a held input is silent for long, from a usual interval after a sample on."""
+    return [(a + _usual(s.time), b) for s in record.inputs if s.hold == 'zoh'
+            for a, b in _silent(s.time, (s,), record) if b - a > _LONG * record.duration]
 
 
 def missing(signal: Signal, record: Record) -> float:
@@ -107,18 +110,13 @@ def _usual(t: Array) -> float:
     return float(np.quantile(np.diff(t), _USUAL)) if len(t) > 1 else np.inf
 
 
-def _stays(signal: Signal) -> bool:
-    """Return whether a signal keeps its value while it is silent: it is sent when it changes."""
-    again = np.all(np.diff(signal.values, axis=0) == 0.0, axis=1)
-    return signal.hold == 'zoh' and float(np.sum(again)) <= _AGAIN * len(again)
-
-
 def _misses(signal: Signal, after: Array, record: Record) -> Mask:
     """Return whether a signal misses samples after some of these stamps."""
     t = signal.time
     if not len(t):
         return np.ones(len(after), dtype=bool)
-    end = t[-1] if _stays(signal) else max(t[-1], record.end)
+    # What was sent last is held.
+    end = t[-1] if signal.hold == 'zoh' else max(t[-1], record.end)
     own = np.diff(t, prepend=min(t[0], record.start), append=end)
     return np.asarray(own[np.searchsorted(t, after, side='right')] > GAP_PERIODS * _usual(t))
 
