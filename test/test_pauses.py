@@ -151,6 +151,31 @@ def test_a_held_input_that_stays_while_it_is_silent_does_not_pause(again, seed):
     assert not any('pause' in note or 'nothing to be used' in note for note in found.notes)
 
 
+@pytest.mark.parametrize('seed', [5, *slow(6, 7)])
+@pytest.mark.parametrize('timeout', [None, 0.5, *slow(0.2, 0.25)])
+def test_a_timeout_that_stops_the_robot_is_told(timeout, seed):
+    """Keys that are held for a while: models that hold were GOOD by predictions, gains halved."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.05)
+    sent, command, acts, k = [], [], np.zeros(len(t)), 4
+    while k < len(t) - 80:
+        count, value = int(rng.integers(5, 30)), rng.choice([-1.0, 1.0]) * rng.choice([0.5, 1.0])
+        sent += range(k, k + count)
+        command += [value] * count
+        silent = int(rng.integers(16, 60))
+        held = silent if timeout is None else round(timeout / 0.05)
+        acts[k:k + count + min(held, silent)] = value
+        k += count + silent
+    acts[k:] = 0.0 if timeout else command[-1]
+    t_y = np.arange(0.0, 58.0, 0.02)
+    y = noisy(rng, held_response(PLANT, t, acts[:, np.newaxis], t_y), 30.0)
+    given = Record.from_arrays(t[sent], np.array(command), t_y, y, input_hold='zoh')
+    found = identify(given, Settings(feedthrough=False))
+    assert found.good == (timeout is None)
+    told = re.search('as if it were 0 from about (.*) s after a message', found.verdict.reason)
+    assert (told is None) == (timeout is None)
+    assert timeout is None or float(told[1]) == pytest.approx(timeout + 0.05, rel=0.3)
+
+
 def test_samples_that_come_in_bursts_are_no_parts():
     t = np.concatenate([k + np.arange(8) * 0.01 for k in np.arange(0.0, 6.0, 0.8)])
     bursts = Record.from_arrays(t, np.sin(t), t, np.cos(t))

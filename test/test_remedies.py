@@ -17,6 +17,7 @@ import pytest
 from ctsid_core import Estimate, Settings
 from ctsid_core.judge import rules
 from ctsid_core.judge.changed import Change
+from ctsid_core.judge.drift import Drift, InputDrift
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.stuck import Stuck
 from ctsid_core.model.estimate import Status
@@ -54,7 +55,9 @@ def findings() -> list[tuple[Remedy, str]]:
     found = [(remedy, reason) for _, remedy, reason in rules._rejections(WORST)]
     line = replace(WORST.numbers, excitation=(Excitation('a', 3.0, 3.0, 9.0, 1.0, 0.01),) * 2)
     late = replace(WORST, lead=np.array([0.1, 0.06]))
-    for one in (replace(WORST, unproven=True), late, *(replace(WORST, numbers=n, fixed_inputs=())
+    jumps = Drift(0, 9.0, inputs=(InputDrift('a', 0.2, 0.0),), moved=9.0, jumps=3)
+    acts = replace(WORST, stops=('a', 0.5), at_once=(0.1, np.inf), drift=jumps)
+    for one in (replace(WORST, unproven=True), late, acts, *(replace(WORST, numbers=n, fixed_inputs=())
                                                  for n in (line, shared))):
         found += rules._weaknesses(one)
     estimate = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=good)
@@ -75,7 +78,7 @@ def findings() -> list[tuple[Remedy, str]]:
 
 def test_every_rule_is_looked_at():
     said = ' '.join(reason for _, reason in findings())
-    for words in ('not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
+    for words in ('Gains change', 'as if it were 0', 'at once how', 'not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
                   'finite', 'zero column', '1 frequency', 'independently',
                   'move it 5.3 times as much', 'explain little', 'is not linear', 'held out',
                   'response to input a is at', 'not been tested', 'Nobody', 'minus one over',

@@ -46,14 +46,17 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
+from ctsid_core.search.by_order import SEARCHED
 from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.corrupt import samples_of_part
+from ctsid_core.search.held import times_out
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
 from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastest, own_delays
 from ctsid_core.search.solve import free_of
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
+from ctsid_core.signals.record import channel_slices
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
@@ -282,6 +285,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         doubt=_too_late(solution, seen[0]) or solution.doubt, wrapped=_wrapped(part),
         distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
+        stops=_stops(solution),
         at_once=tuple(at_once.tolist()) if model.D.any() else (),
         within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
@@ -317,6 +321,19 @@ def _within(solution: Solution) -> float:
     """Return the time within which the response is asked for [s]: as far as predictions go."""
     return np.inf if solution.plant is None else min(
         HORIZONS[-1] * held_interval(solution.source[0]), solution.samples.length)
+
+
+def _stops(solution: Solution) -> tuple[str, float] | None:
+    """Return the first input that acts as if it were 0 while it is silent, and after what [s]."""
+    if solution.simulated is None or solution.refit:
+        return None
+    samples, fit, free = solution.simulated
+    found = times_out(samples.thinned(SEARCHED), fit, free,
+                      [p.u_level for p in solution.part.parts])
+    place, timeout = found or (0, 0.0)
+    first = channel_slices(samples.records[0].inputs)[place].start
+    return found and (solution.part.parts[0].whole.input_names[solution.part.parts[0].u[first]],
+                      timeout)
 
 
 def _lead(found: Array, part: Usable) -> Array:

@@ -10,24 +10,27 @@ on straight lines and on curves, have as many numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.likelihood.output_error import Free
+from ctsid_core.likelihood.output_error import Fit, Free
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.tried import SEARCH, Tried, price, roughly
 from ctsid_core.settings import Hold
-from ctsid_core.signals.record import channel_slices
+from ctsid_core.signals.gaps import silent_between
+from ctsid_core.signals.record import Signal, channel_slices
 
 _OTHERS: dict[Hold, tuple[Hold, ...]] = {
     'zoh': ('linear', 'smooth'), 'linear': ('zoh',), 'smooth': ('zoh',)}
 _SURELY = 10.0        # -2 log likelihood by which another hold must be better: 150 to 1
 _SLOW = 0.1           # of 1: fastest pole times interval, below which holds are alike
 _MOVES = 0.5          # of its samples differ from those before: else an input is held
+_FEWEST = 3           # silences of an input that may stop a robot
+_TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # after which they do [s]
 _ASKED = 'what inputs do between their samples'
 
 
@@ -54,6 +57,43 @@ def other_hold(samples: Samples, found: dict[int, Tried], best: Tried, free: Fre
         if min(gains) > least:
             return place, _OTHERS[signal.hold][int(np.argmax(gains))]
     return None
+
+
+def times_out(samples: Samples, fit: Fit, free: Free,
+              levels: Sequence[Array]) -> tuple[int, float] | None:
+    """
+    Return the first input signal that acts as if it were 0 while it is silent, and from when on.
+
+    So many seconds after a message, as where a timeout stops a robot that hears no more. `levels`
+    are what was taken off the inputs of each record, (nu,).
+    """
+    inputs, own = samples.records[0].inputs, None
+    for place, channels in enumerate(channel_slices(inputs)):
+        rests = [-level[channels] for level in levels]
+        silent = [silent_between(r.inputs[place], *r.span, rest)
+                  for r, rest in zip(samples.records, rests, strict=True)]
+        if sum(map(np.sum, silent)) < _FEWEST or samples.effort.leaves_out(_ASKED, SEARCH):
+            continue
+        own = own or roughly(samples, fit.model.poles, fit.model.delay, free, fit)
+        gains = {timeout: max(_gains(_stopped(samples, place, timeout, silent, rests), own, [own],
+                                     np.zeros(samples.nu), free), default=-np.inf)
+                 for timeout in _TIMEOUTS}
+        best = max(gains, key=lambda timeout: gains[timeout])
+        if gains[best] > _SURELY:
+            return place, best
+    return None
+
+
+def _stopped(samples: Samples, place: int, timeout: float, silent: Sequence[Mask],
+             rests: Sequence[Array]) -> Samples:
+    """Return the samples with one input signal at rest, so long after a message, while silent."""
+    def stopped(s: Signal, quiet: Mask, rest: Array) -> Signal:
+        at = np.flatnonzero(quiet & (s.time + timeout < np.append(s.time[1:], np.inf)))
+        return replace(s, time=np.insert(s.time, at + 1, s.time[at] + timeout),
+                       values=np.insert(s.values, at + 1, rest, axis=0))
+    return replace(samples, records=tuple(replace(r, inputs=tuple(
+        stopped(s, quiet, rest) if k == place else s for k, s in enumerate(r.inputs)))
+        for r, quiet, rest in zip(samples.records, silent, rests, strict=True)))
 
 
 def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,

@@ -28,6 +28,7 @@ _LONG = 0.01            # of a record: shorter pauses are bridged, for each cost
 _MANY = 5               # times as many as any part has: a short experiment in a long recording
 _LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now, ...
 _BEFORE = 2.0           # ... if it is longer than any before it, so many times
+_AGAIN = 0.1            # of the samples of a held input, that repeat its value: it is sent again
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -68,6 +69,21 @@ def silences(record: Record) -> list[tuple[float, float]]:
     """Return where a held input is silent for long, from a usual interval after a sample on."""
     return [(a + _usual(s.time), b) for s in record.inputs if s.hold == 'zoh'
             for a, b in _silent(s.time, (s,), record) if b - a > _LONG * record.duration]
+
+
+def silent_between(signal: Signal, start: float, end: float, rest: float | Array = 0.0) -> Mask:
+    """
+    Return after which samples a held input is silent that is sent again and again else, (N,).
+
+    Not where it was sent to `rest` last; nowhere if it is sent when it changes.
+    """
+    t, moves = signal.time, np.any(signal.values != rest, axis=1)
+    inside = signal.rows(start, end)
+    usual = float(np.median(np.diff(t[inside]))) if len(t[inside]) > 1 else np.inf
+    again = np.all(np.diff(signal.values[inside], axis=0) == 0.0, axis=1)
+    if signal.hold != 'zoh' or not np.sum(again) > _AGAIN * len(again):
+        return np.zeros(len(t), dtype=bool)
+    return np.asarray(moves & (np.diff(t, append=max(end, t[-1])) > GAP_PERIODS * usual))
 
 
 def missing(signal: Signal, record: Record) -> float:
