@@ -260,7 +260,7 @@ def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, numb
     Errors at three horizons over those of regression or the true filter, on a second flight.
 
     Up to 1.16 with climbs as slow as they like, up to 1.06 without the regression as it is, and
-    up to 1.5 with filters of plants that grow.
+    up to 1.5 with slow filters of plants that grow.
     """
     given = experiment(family, seed, number)
     reach = np.array(prediction_reach(given)).reshape(2, -1).max(axis=0)

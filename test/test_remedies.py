@@ -57,8 +57,8 @@ def findings() -> list[tuple[Remedy, str]]:
     late = replace(WORST, lead=np.array([0.1, 0.06]))
     jumps = Drift(0, 9.0, inputs=(InputDrift('a', 0.2, 0.0),), moved=9.0, jumps=3)
     acts = replace(WORST, stops=('a', 0.5), at_once=(0.1, np.inf), drift=jumps)
-    for one in (replace(WORST, unproven=True), late, acts, *(replace(WORST, numbers=n, fixed_inputs=())
-                                                 for n in (line, shared))):
+    for one in (replace(WORST, unproven=True), late, acts, *(
+            replace(WORST, numbers=n, fixed_inputs=()) for n in (line, shared))):
         found += rules._weaknesses(one)
     estimate = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=good)
     verdicts = [rules.unusable_estimate(s, record, Settings()).verdict for s in (
@@ -78,7 +78,8 @@ def findings() -> list[tuple[Remedy, str]]:
 
 def test_every_rule_is_looked_at():
     said = ' '.join(reason for _, reason in findings())
-    for words in ('Gains change', 'as if it were 0', 'at once how', 'not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
+    for words in ('Gains change', 'as if it were 0', 'at once how',
+                  'not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
                   'finite', 'zero column', '1 frequency', 'independently',
                   'move it 5.3 times as much', 'explain little', 'is not linear', 'held out',
                   'response to input a is at', 'not been tested', 'Nobody', 'minus one over',

@@ -204,7 +204,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'Input {name} acts as if it were 0 from about {timeout:g} s after a message on, '
             'while it is silent: a timeout seems to stop the robot; take as input what its '
-            'actuators get, or send it without a break.')
+            'actuators get (in place of what is sent to it).')
     for j in np.flatnonzero(np.array(e.at_once) < _CONTROLLER).tolist():
         yield Remedy.SETTING, (
             f'Outputs tell at once how input {e.input_names[j]} moves, and the response to it is '

@@ -50,6 +50,7 @@ from ctsid_core.search.own_past import (
     with_own_past,
 )
 from ctsid_core.search.past_regression import Start, regressed
+from ctsid_core.search.solution import GROWS
 from ctsid_core.search.tried import LEAST, SEARCH, Tried, parameters, price, tried
 from ctsid_core.signals.record import Record
 
@@ -60,6 +61,7 @@ _FINAL = 2                  # orders that are climbed with all samples
 _REFITS = 2                 # of a predictor that tells itself what was lost
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
+_MIRRORED = 0.5             # of the fastest pole that grows: as slow is a filter of its plant
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
@@ -181,15 +183,19 @@ def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
 
 def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the best predictor near a start or near a filter of its plant; None: no plant."""
-    # Slower than what the regression sees are filters alone, of plants that do not grow: else
-    # states fit what is before the record, and mislead elsewhere.
+    # Slower than what the regression sees are filters alone, and of a plant that grows not much
+    # slower than that, for a growing pole is mirrored: else states fit what is before the record,
+    # and mislead elsewhere.
     quick = replace(free, limit=min(free.limit, -_QUICK / held_interval(joint)))
     best = _nearby(joint, start, quick, last)
-    filtered = _filter(joint, best, free) if best is not None and is_stable(
-        best.matrices) and not joint.effort.beyond(SEARCH) else None
+    if best is None or joint.effort.beyond(SEARCH):
+        return best
+    growth = float(np.max(np.linalg.eigvals(best.matrices.A).real))
+    if growth * joint.length > GROWS:
+        free = replace(free, limit=min(free.limit, -_MIRRORED * growth))
+    filtered = _filter(joint, best, free)
     other = _nearby(joint, filtered, free, last) if filtered is not None else None
-    return min((one for one in (best, other) if one is not None),
-               key=lambda one: one.information, default=None)
+    return min((one for one in (best, other) if one is not None), key=lambda one: one.information)
 
 
 def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
@@ -217,7 +223,7 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
 
     The noise at each input has the same effect on the outputs, over the frequencies looked at.
     Predictors may be slower than the past of the regression, and climbs end before they are
-    there. With no noise in the plant poles are its own.
+    there. With no noise in the plant poles are its own, those that grow mirrored.
     """
     m, n = one.matrices, len(one.matrices.A)
     C = m.C / joint.size[:, np.newaxis]
