@@ -221,12 +221,14 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             'inputs rest for too long, or are not computed from the outputs; these may have been '
             'filtered forward and backward in time (filtfilt, a centred mean), or what holds the '
             'plant is not among the inputs; take what the sensor sent.')
-    if e.drift.moved > (_CHANGED if e.drift.jumps else _DRIFTED):
+    if e.drift.jumps and e.drift.moved > _CHANGED:
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
             'how much; identify each side by itself.')
+    if e.drift.moved > _DRIFTED:
+        yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
