@@ -68,8 +68,8 @@ class Slopes:
         count, k = self.rows.shape
         if k + more.shape[1] > MOST * count:
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        self.samples.effort.spend(0.6 * count * more.shape[1] * (2 * k + more.shape[1]))
         basis, error = self._without
+        self.samples.effort.spend(0.6 * count * more.shape[1] * (2 * k + more.shape[1]))
         own = basis_of(more, basis)
         numbers = basis.shape[1] + own.shape[1]
         left = error - own @ (own.T @ error)
