@@ -28,6 +28,7 @@ from ctsid_core.likelihood.output_error import (
     STEPS,
     Fit,
     Free,
+    Guess,
     climb_roughly,
     errors_of,
     fit_at,
@@ -111,6 +112,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                            max_order)
             best = max(best, far)
     if found and not order:
+        _without_modes(thin, found, free)
         _with_drift(thin, found, free)
     if not found or order not in (0, *found):
         return samples, found
@@ -129,6 +131,20 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         for n, one in found.items()}
 
 
+def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:
+    """Improve smaller orders by what the chosen one is without one of its modes."""
+    chosen = 0
+    while chosen != (chosen := choose(found)) and not samples.effort.beyond(SEARCH):
+        whole = found[chosen].fit
+        for poles, near in _fewer(whole):
+            with suppress(np.linalg.LinAlgError):
+                fit = fit_at(samples, poles, whole.model.delay, free, near, slopes=False)
+                n = fit.model.n
+                if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free,
+                                     found[n].pointed)
+
+
 def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
     """Ask what orders up to the chosen one explain with inputs that drift."""
     chosen = choose(found)
@@ -137,6 +153,18 @@ def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
             break
         found[n] = replace(found[n], drifting=drifting(
             samples, found[n], free, found[chosen].fit.cost))
+
+
+def _fewer(fit: Fit) -> Iterator[tuple[ComplexArray, Guess | None]]:
+    """Yield poles without one of them, and with a real one instead of one of the pairs."""
+    m = fit.model
+    for k, pole in enumerate(m.poles.tolist()):
+        rest = replace(m, poles=np.delete(m.poles, k), b=np.delete(m.b, k, 0),
+                       c=np.delete(m.c, k, 1), x0=np.delete(m.x0, k, 1))
+        if len(rest.poles):
+            yield rest.poles, Guess(rest, fit.power)
+        if pole.imag > 0.0:
+            yield np.append(rest.poles, -abs(pole)), None
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
