@@ -46,7 +46,6 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
-from ctsid_core.search.by_order import SEARCHED
 from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.held import times_out
@@ -253,9 +252,9 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))
-    away, at_once = (_spread_out(distance_to_controller(
+    away, *at_once = (_spread_out(distance_to_controller(
         [p.record for p in part.parts], moving, seen[0], same), last.u, whole.nu, np.inf)
-        for same in (False, True))
+        for same in ((False, True) if moving.D.any() else (False,)))
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
@@ -286,7 +285,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         stops=_stops(solution),
-        at_once=tuple(at_once.tolist()) if model.D.any() else (),
+        at_once=tuple(np.ravel(at_once).tolist()),
         within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
@@ -327,13 +326,12 @@ def _stops(solution: Solution) -> tuple[str, float] | None:
     """Return the first input that acts as if it were 0 while it is silent, and after what [s]."""
     if solution.simulated is None or solution.refit:
         return None
-    samples, fit, free = solution.simulated
-    found = times_out(samples.thinned(SEARCHED), fit, free,
-                      [p.u_level for p in solution.part.parts])
-    place, timeout = found or (0, 0.0)
-    first = channel_slices(samples.records[0].inputs)[place].start
-    return found and (solution.part.parts[0].whole.input_names[solution.part.parts[0].u[first]],
-                      timeout)
+    parts = solution.part.parts
+    found = times_out(*solution.simulated, [p.u_level for p in parts])
+    if found is None:
+        return None
+    first = channel_slices(parts[0].record.inputs)[found[0]].start
+    return parts[0].whole.input_names[parts[0].u[first]], found[1]
 
 
 def _lead(found: Array, part: Usable) -> Array:

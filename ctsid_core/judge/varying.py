@@ -17,6 +17,7 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar Conference (orthogonal matching
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 
@@ -85,8 +86,8 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
     # Gusts are jumps of a load, which those of a gain imitate.
     imitated = found.cost > NOTED and any(
         not np.any(best < _LEFT * coloured_power(_errors(slopes, left)))
-        for load in _moved(slopes, None).T for jumps, left in _jumps(slopes, load[:, 1:])
-        if len(jumps) == found.jumps)
+        for load in _moved(slopes, None).T
+        for _, left in islice(_jumps(slopes, load[:, 1:]), found.jumps - 1, found.jumps))
     return found if found.cost > NOTED and not imitated else Drift()
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from ctsid_core.likelihood.output_error import Fit, Free
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, Mask
+from ctsid_core.search.by_order import SEARCHED
 from ctsid_core.search.tried import SEARCH, Tried, price, roughly
 from ctsid_core.settings import Hold
 from ctsid_core.signals.gaps import silent_between
@@ -52,8 +53,11 @@ def other_hold(samples: Samples, found: dict[int, Tried], best: Tried, free: Fre
         late[channels] = 0.5 * signal.period * (1.0 if signal.hold == 'zoh' else -1.0)
         without = replace(free, feedthrough=False)
         least = _SURELY + max((0.0, *_gains(samples, own, smaller, 0.0 * late, without)))
-        gains = [max(_gains(_held(samples, place, hold), own, smaller, late, without),
-                     default=-np.inf) for hold in _OTHERS[signal.hold]]
+        others = [_with_input(samples, place, [replace(r.inputs[place], hold=hold)
+                                               for r in samples.records])
+                  for hold in _OTHERS[signal.hold]]
+        gains = [max(_gains(other, own, smaller, late, without), default=-np.inf)
+                 for other in others]
         if min(gains) > least:
             return place, _OTHERS[signal.hold][int(np.argmax(gains))]
     return None
@@ -67,33 +71,31 @@ def times_out(samples: Samples, fit: Fit, free: Free,
     So many seconds after a message, as where a timeout stops a robot that hears no more. `levels`
     are what was taken off the inputs of each record, (nu,).
     """
-    inputs, own = samples.records[0].inputs, None
-    for place, channels in enumerate(channel_slices(inputs)):
+    for place, channels in enumerate(channel_slices(samples.records[0].inputs)):
         rests = [-level[channels] for level in levels]
         silent = [silent_between(r.inputs[place], *r.span, rest)
                   for r, rest in zip(samples.records, rests, strict=True)]
         if sum(map(np.sum, silent)) < _FEWEST or samples.effort.leaves_out(_ASKED, SEARCH):
             continue
-        own = own or roughly(samples, fit.model.poles, fit.model.delay, free, fit)
-        gains = {timeout: max(_gains(_stopped(samples, place, timeout, silent, rests), own, [own],
-                                     np.zeros(samples.nu), free), default=-np.inf)
-                 for timeout in _TIMEOUTS}
-        best = max(gains, key=lambda timeout: gains[timeout])
-        if gains[best] > _SURELY:
-            return place, best
+        thin = samples.thinned(SEARCHED)
+        own = roughly(thin, fit.model.poles, fit.model.delay, free, fit)
+        others = [_with_input(thin, place, [
+            _stopped(r.inputs[place], timeout, quiet, rest)
+            for r, quiet, rest in zip(thin.records, silent, rests, strict=True)])
+            for timeout in _TIMEOUTS]
+        gains = [max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
+                 for other in others]
+        if max(gains) > _SURELY:
+            return place, _TIMEOUTS[int(np.argmax(gains))]
     return None
 
 
-def _stopped(samples: Samples, place: int, timeout: float, silent: Sequence[Mask],
-             rests: Sequence[Array]) -> Samples:
-    """Return the samples with one input signal at rest, so long after a message, while silent."""
-    def stopped(s: Signal, quiet: Mask, rest: Array) -> Signal:
-        at = np.flatnonzero(quiet & (s.time + timeout < np.append(s.time[1:], np.inf)))
-        return replace(s, time=np.insert(s.time, at + 1, s.time[at] + timeout),
-                       values=np.insert(s.values, at + 1, rest, axis=0))
-    return replace(samples, records=tuple(replace(r, inputs=tuple(
-        stopped(s, quiet, rest) if k == place else s for k, s in enumerate(r.inputs)))
-        for r, quiet, rest in zip(samples.records, silent, rests, strict=True)))
+def _stopped(signal: Signal, timeout: float, silent: Mask, rest: Array) -> Signal:
+    """Return an input that is at rest so long after messages after which it is silent."""
+    t = signal.time
+    at = np.flatnonzero(silent & (t + timeout < np.append(t[1:], np.inf)))
+    return replace(signal, time=np.insert(t, at + 1, t[at] + timeout),
+                   values=np.insert(signal.values, at + 1, rest, axis=0))
 
 
 def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,
@@ -110,8 +112,8 @@ def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,
             yield float(n_eff @ ratio) + each * (own.parameters - other.parameters)
 
 
-def _held(samples: Samples, place: int, hold: Hold) -> Samples:
-    """Return the samples with another hold of one of the input signals."""
-    return replace(samples, records=tuple(replace(r, inputs=tuple(
-        replace(s, hold=hold) if k == place else s for k, s in enumerate(r.inputs)))
-        for r in samples.records))
+def _with_input(samples: Samples, place: int, signals: Sequence[Signal]) -> Samples:
+    """Return the samples with another signal for one of the inputs, of each record."""
+    return replace(samples, records=tuple(
+        replace(r, inputs=(*r.inputs[:place], s, *r.inputs[place + 1:]))
+        for r, s in zip(samples.records, signals, strict=True)))

@@ -71,7 +71,7 @@ def silences(record: Record) -> list[tuple[float, float]]:
             for a, b in _silent(s.time, (s,), record) if b - a > _LONG * record.duration]
 
 
-def silent_between(signal: Signal, start: float, end: float, rest: float | Array = 0.0) -> Mask:
+def silent_between(signal: Signal, start: float, end: float, rest: Array) -> Mask:
     """
     Return after which samples a held input is silent that is sent again and again else, (N,).
 
