@@ -203,8 +203,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         name, timeout = e.stops
         yield Remedy.SIGNALS, (
             f'Input {name} acts as if it were 0 from about {timeout:g} s after a message on, '
-            'while it is silent: a timeout seems to stop the robot; take as input what its '
-            'actuators get (in place of what is sent to it).')
+            'while it is silent: a timeout seems to stop the robot (or messages were lost); take '
+            'as input what its actuators get.')
     for j in np.flatnonzero(np.array(e.at_once) < _CONTROLLER).tolist():
         yield Remedy.SETTING, (
             f'Outputs tell at once how input {e.input_names[j]} moves, and the response to it is '

@@ -28,7 +28,6 @@ _LONG = 0.01            # of a record: shorter pauses are bridged, for each cost
 _MANY = 5               # times as many as any part has: a short experiment in a long recording
 _LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now, ...
 _BEFORE = 2.0           # ... if it is longer than any before it, so many times
-_AGAIN = 0.1            # of the samples of a held input, that repeat its value: it is sent again
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -73,15 +72,14 @@ def silences(record: Record) -> list[tuple[float, float]]:
 
 def silent_between(signal: Signal, start: float, end: float, rest: Array) -> Mask:
     """
-    Return after which samples a held input is silent that is sent again and again else, (N,).
+    Return after which samples a held input is silent for far longer than it mostly is, (N,).
 
-    Not where it was sent to `rest` last; nowhere if it is sent when it changes.
+    Not where it was sent to `rest` last.
     """
     t, moves = signal.time, np.any(signal.values != rest, axis=1)
     inside = signal.rows(start, end)
     usual = float(np.median(np.diff(t[inside]))) if len(t[inside]) > 1 else np.inf
-    again = np.all(np.diff(signal.values[inside], axis=0) == 0.0, axis=1)
-    if signal.hold != 'zoh' or not np.sum(again) > _AGAIN * len(again):
+    if signal.hold != 'zoh':
         return np.zeros(len(t), dtype=bool)
     return np.asarray(moves & (np.diff(t, append=max(end, t[-1])) > GAP_PERIODS * usual))
 
