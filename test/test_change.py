@@ -34,6 +34,7 @@ from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.verdict import Remedy
 from ctsid_core.search.solve import free_of
 from ctsid_core.signals.record import Signal
+from ctsid_ros.studies.robots.families import experiment
 
 CLOSED_LOOP = Settings(feedthrough=False)
 
@@ -328,6 +329,15 @@ def test_a_short_record_of_many_weighs_as_much_as_it_is_long():
 def test_what_drifts_or_saturates_does_not_come_back(gain, how, seed):
     """An actuator that saturates has a smaller gain as long as it is moved far."""
     found = identify(varying(seed, gain, **how))
+    assert not any('come back' in text for text in (found.verdict.reason, *found.notes))
+
+
+@pytest.mark.parametrize(('family', 'seed', 'number'), [
+    ('rates-1x1', 70, 0), ('second-input', 41, 8), *slow(('rates-1x1', 41, 0))])
+def test_what_disturbs_is_no_gain_that_comes_back(family, seed, number):
+    """Jumps without a price for their instants imitated it, or left most of it."""
+    given = experiment(family, seed, number)
+    found = identify(given.record, given.settings or Settings())
     assert not any('come back' in text for text in (found.verdict.reason, *found.notes))
 
 

@@ -98,6 +98,19 @@ def test_a_plant_with_a_direct_term_is_no_controller(kind, seed):
     assert found.model.D[0, 0] == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.parametrize('kind', ['switches', 'stairs'])
+def test_an_input_that_rests_while_outputs_move_is_no_controller_that_answers_at_once(kind):
+    """A lag with as much at once as after it: its inverse is told as well as a controller."""
+    rng, h, n = np.random.default_rng(0), 0.02, 2000
+    levels = {'switches': rng.choice([-1.0, 1.0], 100), 'stairs': rng.standard_normal(100)}[kind]
+    t, u, x, y = h * np.arange(n), np.repeat(levels, 20), 0.0, np.empty(n)
+    for k in range(n):
+        y[k] = x - u[k]
+        x += (1.0 - np.exp(-2.0 * h)) * (u[k] - x)
+    y += 0.02 * y.std() * rng.standard_normal(n)
+    assert identify(Record.from_arrays(t, u, t, y, input_hold='zoh')).good
+
+
 @pytest.mark.parametrize('share', [0.1, *slow(0.005)])
 def test_samples_that_were_lost_on_the_way_hide_nothing(share):
     record, rng = held_in_place(1), np.random.default_rng(0)

@@ -30,7 +30,6 @@ _OTHERS: dict[Hold, tuple[Hold, ...]] = {
 _SURELY = 10.0        # -2 log likelihood by which another hold must be better: 150 to 1
 _SLOW = 0.1           # of 1: fastest pole times interval, below which holds are alike
 _MOVES = 0.5          # of its samples differ from those before: else an input is held
-_FEWEST = 3           # silences of an input that may stop a robot
 _TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # after which they do [s]
 _ASKED = 'what inputs do between their samples'
 
@@ -75,7 +74,7 @@ def times_out(samples: Samples, fit: Fit, free: Free,
         rests = [-level[channels] for level in levels]
         silent = [silent_between(r.inputs[place], *r.span, rest)
                   for r, rest in zip(samples.records, rests, strict=True)]
-        if sum(map(np.sum, silent)) < _FEWEST or samples.effort.leaves_out(_ASKED, SEARCH):
+        if not any(map(np.any, silent)) or samples.effort.leaves_out(_ASKED, SEARCH):
             continue
         thin = samples.thinned(SEARCHED)
         own = roughly(thin, fit.model.poles, fit.model.delay, free, fit)
