@@ -313,6 +313,8 @@ def test_a_robot_that_mainly_drives_forward_slips_too(level):
     found = identify(varying(2, carries, level=level))
     assert found.verdict.grade is Grade.WEAK
     assert found.verdict.reason.startswith('Gains change and come back (of u1 by 1')
+    # It jumps twice, and no jump is told that is not worth a size and an instant.
+    assert int(re.search(r'(\d+) jumps explain it', found.verdict.reason)[1]) <= 4
 
 
 def test_a_short_record_of_many_weighs_as_much_as_it_is_long():
