@@ -19,8 +19,9 @@ from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
 from ctsid_core.search.lost_inputs import lost_inputs
-from ctsid_core.search.solution import Solution, own_delays
+from ctsid_core.search.solution import Solution
 from ctsid_core.search.solve import solve
+from ctsid_core.search.task import own_delays
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings

@@ -30,7 +30,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Remedy, Verdict
-from ctsid_core.search.solve import _doubt
+from ctsid_core.search.direct import doubt_of_direct
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_ros.studies.robots import families as robots
 from ctsid_ros.studies.robots.linear import Held, Linear
@@ -722,7 +722,7 @@ def test_what_points_to_a_controller_is_the_first_reason(seed, what):
 def test_a_slow_pair_is_two_states_however_its_poles_are_given(slow_poles, doubted):
     samples = samples_of([excited(29)[1]], [[None]])
     free = Free(True, True, (True,), 1.0, -1e-6, 100.0)
-    found = _doubt(np.array([*slow_poles, -5.0], dtype=complex), samples, free, Settings())
+    found = doubt_of_direct(np.array([*slow_poles, -5.0], dtype=complex), samples, free, True)
     assert (found is not None) is doubted
 
 

@@ -22,7 +22,7 @@ from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.residuals import coloured_power, independent, white_part
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
-from ctsid_core.search.solve import free_of
+from ctsid_core.search.task import free_of
 from ctsid_core.settings import LONGEST_DELAY
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.reachable import models, outputs

@@ -47,12 +47,11 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import changes_of_plant, in_record
-from ctsid_core.search.corrupt import samples_of_part
 from ctsid_core.search.held import times_out
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
-from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastest, own_delays
-from ctsid_core.search.solve import free_of
+from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastest
+from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.record import channel_slices

@@ -21,22 +21,12 @@ from ctsid_core.likelihood.residuals import mean_square, residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.solution import Solution
+from ctsid_core.search.task import corrupt_rows
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.outliers import spikes
 from ctsid_core.signals.spikes import MAD, SURE
 
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
-
-
-def corrupt_rows(part: Usable) -> tuple[Mask | None, ...]:
-    """Return which rows of each output signal of a record have a corrupt sample."""
-    return tuple(f.mask.any(axis=1) if f.any else None for f in part.corrupt_y)
-
-
-def samples_of_part(part: Joint, effort: Effort, ahead: float = 0.0) -> Samples:
-    """Return the samples of records but corrupt ones; `ahead` is as for `samples_of` [s]."""
-    return samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)), ahead,
-                      effort)
 
 
 def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,9 @@ from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
+from ctsid_core.search.by_order import MORE
+from ctsid_core.search.task import FASTEST, Task
+from ctsid_core.search.tried import SEARCH, Tried
 from ctsid_core.settings import Settings
 
 DISTURBED = 0.35        # error that is not white noise, over the motion: a simulation is nothing
@@ -102,8 +105,45 @@ class Solution:
         return np.asarray(self.fit.model.delay[:len(self.part.parts[0].u)])
 
 
-def own_delays(part: Joint, settings: Settings) -> Settings:
-    """Return the settings with the dead times of the moving inputs only."""
-    if not isinstance(settings.delay, tuple):
-        return settings
-    return settings.replace(delay=tuple(settings.delay[j] for j in part.parts[0].u))
+def used(task: Task, order: int, delay: Array) -> Settings:
+    """Return the settings with what was found; dead times as one number if given so and alike."""
+    settings, first = task.settings, task.part.parts[0]
+    delays = np.array(settings.delays(first.whole.nu))
+    delays[list(first.u)] = delay
+    alike = not isinstance(settings.delay, tuple) and bool(np.all(delays == delays[0]))
+    return settings.replace(order=order,
+                            delay=float(delays[0]) if alike else tuple(delays.tolist()))
+
+
+def table_of(found: dict[int, Tried], chosen: Tried,
+             settings: Settings) -> tuple[OrderTried, ...]:
+    """Return the orders among which was chosen; none if it was given."""
+    return () if settings.order else tuple(
+        order_row(one, chosen, n) for n, one in sorted(found.items()))
+
+
+def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
+    """Return a row of the table of orders: all by the independent samples of the chosen one."""
+    n_eff = max(float(np.min(chosen.independent)), 2.0)
+    power = one.power / np.maximum(chosen.power, 1e-300)
+    price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
+    return OrderTried(n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
+                      100.0 * (1.0 - float(np.sqrt(np.max(one.power)))))
+
+
+def at_bound(fit: Fit, free: Free) -> tuple[str, ...]:
+    """Return that a pole is about as fast as any that is looked for, in words."""
+    return () if not at_fastest(fit, free) else (
+        f'the pole of {np.max(np.abs(fit.model.poles)):.3g} rad/s is about the fastest that '
+        f'is looked for ({FASTEST:g} of the Nyquist frequency of the outputs) and stands for '
+        'anything faster: it is a bound',)
+
+
+def left_out(task: Task, found: Container[int], order: int) -> tuple[str, ...]:
+    """Return what the budget has left out, in words."""
+    settings = task.settings
+    near = range(max(order - MORE, 1), min(order + MORE, settings.max_order) + 1)
+    if settings.order or not task.effort.beyond(SEARCH) or all(n in found for n in near):
+        return ()
+    return (f'the budget of {settings.budget:.3g} s ended the search at order {order}; raise '
+            '`budget`, or set `order`',)

@@ -27,6 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING
 from ctsid_core.likelihood.output_error import (
     STEPS,
@@ -39,7 +40,7 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.residuals import coloured_costs, coloured_power, independent, residuals
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Mask
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
@@ -47,6 +48,7 @@ LEAST = 1e-4          # if the errors were more than this part of the motion
 AKAIKE = 2.0          # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take, ...
 POINT = 0.4           # ... and a look at where to begin
+_NEGLIGIBLE = 0.01    # share of the Akaike weights
 UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 
 
@@ -121,6 +123,25 @@ def roughly(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     """Return the best model near poles and dead times, as far as it takes to compare it."""
     start = fit_at(samples, poles, delay, free, near)
     return tried(samples, climb_roughly(samples, start, free), free)
+
+
+def fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
+    """Return the best model of other samples, or with D, at a model's poles and dead times."""
+    return tried(samples, fit_at(samples, model.poles, model.delay, free, near), free)
+
+
+def smaller_models(samples: Samples, found: dict[int, Tried], best: Tried,
+                   free: Free) -> tuple[tuple[ModalModel, Free], ...]:
+    """Return the models of smaller orders, the dead times that are not free those of the best."""
+    models = []
+    for model in (one.fit.model for n, one in found.items() if n < best.fit.model.n):
+        delay = np.where(free.delays, model.delay, best.fit.model.delay)
+        if (delay != model.delay).any():
+            with suppress(np.linalg.LinAlgError):
+                model = climb_roughly(
+                    samples, fit_at(samples, model.poles, delay, free), free).model
+        models.append((model, free))
+    return tuple(models)
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
@@ -203,3 +224,34 @@ def advantage(one: Tried, other: Tried) -> float:
     if other.parameters >= one.parameters:
         return criterion(one, other, AKAIKE)
     return -criterion(other, one, AKAIKE)
+
+
+def in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
+    """
+    Return Schwarz's criterion with errors of any colour, of the outputs that matter.
+
+    Unless `each` says what a parameter costs.
+    """
+    return float(one.coloured[matters].sum()) + (each or price(one.samples)) * one.parameters
+
+
+def advantage_in_colour(one: Tried, other: Tried) -> float:
+    """
+    Return by how much Akaike's criterion prefers the other one.
+
+    The less of what independent samples and errors of any colour say: few samples are independent
+    of what missing states leave, and a model without them would seem as right as one that leaves
+    nothing but noise.
+    """
+    matters = np.maximum(one.power, other.power) > LEAST ** 2
+    return min(advantage(one, other),
+               in_colour(one, matters, AKAIKE) - in_colour(other, matters, AKAIKE))
+
+
+def shares_of(others: list[tuple[float, ModalModel]]) -> tuple[tuple[float, ModalModel], ...]:
+    """Return the models that might be right, with their share of the Akaike weights."""
+    gains = np.array([0.0, *(gain for gain, _ in others)])
+    weights = np.exp(0.5 * (gains - gains.max()))
+    shares = (weights / weights.sum()).tolist()[1:]
+    return tuple((share, one) for share, (_, one) in zip(shares, others, strict=True)
+                 if share > _NEGLIGIBLE)

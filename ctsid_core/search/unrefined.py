@@ -21,9 +21,8 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.linear.matrix_functions import SOUND
 from ctsid_core.model.estimate import Choice
-from ctsid_core.search.corrupt import samples_of_part
-from ctsid_core.search.solution import Solution, own_delays
-from ctsid_core.search.solve import free_of, order_row
+from ctsid_core.search.solution import Solution, table_of
+from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import tried
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.interface import Method, MethodModel
@@ -52,8 +51,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
         choices.append(Choice('order', fit.model.n, "the best by Schwarz's criterion"))
     seen = {n: tried(samples, f, free) for n, f in by_order.items()}
     chosen = seen[fit.model.n]
-    table = tuple(order_row(one, chosen, n) for n, one in sorted(seen.items())) \
-        if len(seen) > 1 else ()
+    table = table_of(seen, chosen, settings) if len(seen) > 1 else ()
 
     def refit(early: Samples) -> Fit | None:
         records = part.early(own)
