@@ -15,15 +15,17 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from ctsid_core.likelihood.output_error import Fit, Free
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array
 from ctsid_core.search.by_order import SEARCHED
 from ctsid_core.search.tried import SEARCH, Tried, price, roughly
 from ctsid_core.settings import Hold
 from ctsid_core.signals.gaps import silent_between
 from ctsid_core.signals.record import Signal, channel_slices
+from ctsid_core.signals.timeouts import stopped
 
 _OTHERS: dict[Hold, tuple[Hold, ...]] = {
     'zoh': ('linear', 'smooth'), 'linear': ('zoh',), 'smooth': ('zoh',)}
@@ -31,6 +33,8 @@ _SURELY = 10.0        # -2 log likelihood by which another hold must be better: 
 _SLOW = 0.1           # of 1: fastest pole times interval, below which holds are alike
 _MOVES = 0.5          # of its samples differ from those before: else an input is held
 _TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # after which they do [s]
+_BETWEEN = 1.5        # times one of these, at most, is another
+_CLOSELY = 0.003      # of a timeout: it is looked for no more closely
 _ASKED = 'what inputs do between their samples'
 
 
@@ -72,29 +76,24 @@ def times_out(samples: Samples, fit: Fit, free: Free,
     """
     for place, channels in enumerate(channel_slices(samples.records[0].inputs)):
         rests = [-level[channels] for level in levels]
-        silent = [silent_between(r.inputs[place], *r.span, rest)
-                  for r, rest in zip(samples.records, rests, strict=True)]
-        if not any(map(np.any, silent)) or samples.effort.leaves_out(_ASKED, SEARCH):
+        if not any(np.any(silent_between(r.inputs[place], *r.span, rest))
+                   for r, rest in zip(samples.records, rests, strict=True)) \
+                or samples.effort.leaves_out(_ASKED, SEARCH):
             continue
         thin = samples.thinned(SEARCHED)
         own = roughly(thin, fit.model.poles, fit.model.delay, free, fit)
-        others = [_with_input(thin, place, [
-            _stopped(r.inputs[place], timeout, quiet, rest)
-            for r, quiet, rest in zip(thin.records, silent, rests, strict=True)])
-            for timeout in _TIMEOUTS]
-        gains = [max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
-                 for other in others]
-        if max(gains) > _SURELY:
-            return place, _TIMEOUTS[int(np.argmax(gains))]
+
+        def gain(timeout: float) -> float:
+            other = _with_input(thin, place, [stopped(r.inputs[place], timeout, rest)
+                                              for r, rest in zip(thin.records, rests, strict=True)])
+            return max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
+
+        best = max(_TIMEOUTS, key=gain)
+        if gain(best) > _SURELY:
+            return place, float(minimize_scalar(
+                lambda timeout: -gain(timeout), bounds=(best / _BETWEEN, best * _BETWEEN),
+                method='bounded', options={'xatol': _CLOSELY * best}).x)
     return None
-
-
-def _stopped(signal: Signal, timeout: float, silent: Mask, rest: Array) -> Signal:
-    """Return an input that is at rest so long after messages after which it is silent."""
-    t = signal.time
-    at = np.flatnonzero(silent & (t + timeout < np.append(t[1:], np.inf)))
-    return replace(signal, time=np.insert(t, at + 1, t[at] + timeout),
-                   values=np.insert(signal.values, at + 1, rest, axis=0))
 
 
 def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,
