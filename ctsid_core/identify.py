@@ -19,7 +19,7 @@ from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
-from ctsid_core.search.lost_inputs import lost_inputs, with_timeouts
+from ctsid_core.search.lost_inputs import of_silent_inputs
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import solve
 from ctsid_core.search.tried import SEARCH
@@ -138,15 +138,12 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         return None if isinstance(part, Unusable) else given_back(
             part, lambda one: by(one, own, effort), effort)
 
-    def again(settings: Settings, lost: bool = False) -> Solution | None:
+    def again(settings: Settings, lost: bool) -> Solution | None:
         return None if effort.beyond(SEARCH) else found(
             _joined(records, settings, effort, lost), settings)
 
     solution = found(part, settings)
-    if solution is not None:
-        solution = with_timeouts(solution, settings, again)
-        if lost_inputs(solution):
-            solution = again(settings.replace(timeout=solution.settings.timeout), True) or solution
+    solution = solution and of_silent_inputs(solution, settings, again)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
                                  spent=effort.beyond(SEARCH))

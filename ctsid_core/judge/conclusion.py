@@ -54,7 +54,6 @@ from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastes
 from ctsid_core.search.solve import free_of
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
-from ctsid_core.signals.record import channel_slices
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 

@@ -33,7 +33,7 @@ _SURELY = 10.0        # -2 log likelihood by which another hold must be better: 
 _SLOW = 0.1           # of 1: fastest pole times interval, below which holds are alike
 _MOVES = 0.5          # of its samples differ from those before: else an input is held
 _TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # after which they do [s]
-_BETWEEN = 1.5        # times one of these, at most, is another
+_BETWEEN = 1.3        # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.003      # of a timeout: it is looked for no more closely
 _ASKED = 'what inputs do between their samples'
 
@@ -66,34 +66,46 @@ def other_hold(samples: Samples, found: dict[int, Tried], best: Tried, free: Fre
     return None
 
 
-def times_out(samples: Samples, fit: Fit, free: Free,
-              levels: Sequence[Array]) -> tuple[int, float] | None:
+def times_out(samples: Samples, fit: Fit, free: Free, levels: Sequence[Array],
+              most: int) -> dict[int, float]:
     """
-    Return the first input signal that acts as if it were 0 while it is silent, and from when on.
+    Return the input signals that act as if they were 0 while they are silent, and from when on.
 
-    So many seconds after a message, as where a timeout stops a robot that hears no more. `levels`
-    are what was taken off the inputs of each record, (nu,).
+    So many seconds after a message, as where a timeout stops a robot that hears no more; `most` of
+    them at most. `levels` are what was taken off the inputs of each record, (nu,).
     """
-    for place, channels in enumerate(channel_slices(samples.records[0].inputs)):
-        rests = [-level[channels] for level in levels]
-        if not any(np.any(silent_between(r.inputs[place], *r.span, rest))
-                   for r, rest in zip(samples.records, rests, strict=True)) \
-                or samples.effort.leaves_out(_ASKED, SEARCH):
-            continue
-        thin = samples.thinned(SEARCHED)
-        own = roughly(thin, fit.model.poles, fit.model.delay, free, fit)
+    rests = [[-level[channels] for channels in channel_slices(r.inputs)]
+             for r, level in zip(samples.records, levels, strict=True)]
+    silent = [place for place in range(len(rests[0])) if any(
+        np.any(silent_between(r.inputs[place], *r.span, rest[place]))
+        for r, rest in zip(samples.records, rests, strict=True))]
+    if not silent or samples.effort.leaves_out(_ASKED, SEARCH):
+        return {}
+    thin = samples.thinned(SEARCHED)
+    own = roughly(thin, fit.model.poles, fit.model.delay, free, fit)
 
-        def gain(timeout: float) -> float:
-            other = _with_input(thin, place, [stopped(r.inputs[place], timeout, rest)
-                                              for r, rest in zip(thin.records, rests, strict=True)])
-            return max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
+    def gain(timeouts: dict[int, float]) -> float:
+        other = thin
+        for place, timeout in timeouts.items():
+            other = _with_input(other, place, [
+                stopped(r.inputs[place], timeout, rest[place])
+                for r, rest in zip(thin.records, rests, strict=True)])
+        return max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
 
-        best = max(_TIMEOUTS, key=gain)
-        if gain(best) > _SURELY:
-            return place, float(minimize_scalar(
-                lambda timeout: -gain(timeout), bounds=(best / _BETWEEN, best * _BETWEEN),
-                method='bounded', options={'xatol': _CLOSELY * best}).x)
-    return None
+    found, least = dict[int, float](), _SURELY
+    for _ in range(min(most, len(silent))):
+        more = [found | {k: t} for k in silent if k not in found for t in _TIMEOUTS]
+        gains = [gain(one) for one in more]
+        if max(gains) < least:
+            break
+        found, least = more[int(np.argmax(gains))], max(gains) + _SURELY
+    for place in list(found) * min(len(found), 2):
+        near = found[place]
+        best = minimize_scalar(
+            lambda t, place=place: -gain(found | {place: t}), method='bounded',
+            bounds=(near / _BETWEEN, near * _BETWEEN), options={'xatol': _CLOSELY * near})
+        found[place] = float(best.x) if -best.fun > gain(found) else near
+    return found
 
 
 def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,

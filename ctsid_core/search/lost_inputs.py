@@ -12,20 +12,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.held import times_out
-from ctsid_core.search.solution import TIMEOUT, Solution
+from ctsid_core.search.solution import TIMEOUT, Doubt, Solution
 from ctsid_core.search.tried import beats, tried
 from ctsid_core.settings import Settings
 from ctsid_core.signals.gaps import FEWEST, silences
 from ctsid_core.signals.record import channel_slices
 
 _MORE = 1.5           # times the error elsewhere: what was sent last did not go on
-_TRIES = 4            # timeouts that are looked for: one more for each input, or a better one
+_ROUNDS = 6           # as often timeouts are looked for, unless they stay as they are ...
+_ALIKE = 0.005        # ... to this part of them
 _APART = 0.1          # of a timeout: nearer to what is given is no doubt
 
 
@@ -47,47 +49,83 @@ def lost_inputs(solution: Solution) -> bool:
     return bool(inside[0] / inside[1] > _MORE ** 2 * elsewhere[0] / elsewhere[1])
 
 
-def with_timeouts(solution: Solution, settings: Settings,
-                  again: Callable[[Settings], Solution | None]) -> Solution:
+def of_silent_inputs(solution: Solution, settings: Settings,
+                     again: Callable[[Settings, bool], Solution | None]) -> Solution:
     """
-    Return the model of inputs that a timeout stops, where these explain more than what was held.
+    Return the model of inputs as they act while they are silent, where that explains more.
 
-    `again` identifies the records with other settings. Where the timeout is given, the budget is
-    spent, or the model errs where inputs are silent, it is a doubt.
+    A timeout stops them, or what was sent is lost. `again` identifies the records with other
+    settings, and divided where commands are lost. A timeout that was given and is another one, or
+    that no model confirms, is a doubt.
     """
-    unknown = settings.unknown_timeouts(solution.part.parts[0].whole.nu)
-    found: dict[str, float] = {}
-    for _ in range(_TRIES):
-        channels, name, seconds = _stop(solution)
-        if not name:
-            break
-        each = np.array(settings.timeouts(len(unknown)))
-        apart = abs(seconds - each[channels.start]) > _APART * seconds
-        each[channels] = seconds
-        changed = settings.replace(timeout=tuple(each.tolist()))
-        other = again(changed) if unknown[channels.start] else None
-        if other is None or lost_inputs(other) or not _explains_more(other, solution):
-            doubt = (f'input {name} acts as if it were 0 from about {seconds:.2g} s after a '
-                     'message on, while it is silent: a timeout seems to stop the robot, or '
-                     'messages were lost', f'{name.partition("[")[0]}{TIMEOUT}{seconds:.2g}')
-            solution = replace(solution, doubt=doubt) if apart else solution
-            break
-        settings, solution, found[name] = changed, other, seconds
-    return replace(solution, choices=(*solution.choices, *(
-        Choice('timeout', round(seconds, 4), f'of input {name}: what is 0 so long after a message '
-               'explains more than what goes on') for name, seconds in found.items())))
+    timed, stops = _with_timeouts(solution, settings, again)
+    known = timed.settings.timeouts(timed.part.parts[0].whole.nu)
+    lost = lost_inputs(timed)
+    doubts = [] if lost and timed is not solution else [
+        _doubt(name, seconds) for channels, name, seconds in stops
+        if abs(seconds - known[channels.start]) > _APART * seconds]
+    if lost:
+        timed = again(settings, True) or solution
+    return replace(timed, doubt=next(iter(doubts), timed.doubt))
 
 
-def _stop(solution: Solution) -> tuple[slice, str, float]:
-    """Return the channels of an input that acts as if it were 0 while silent, and from when on."""
+def _with_timeouts(solution: Solution, settings: Settings,
+                   again: Callable[[Settings, bool], Solution | None]
+                   ) -> tuple[Solution, list[_Stop]]:
+    """
+    Return the model with timeouts that explains most, and all that seem to stop an input.
+
+    They are looked for again with the model that they make: of what was held it was another one.
+    """
+    whole, best, stops, most = solution.part.parts[0].whole, solution, list[_Stop](), 1
+    nu, unknown = whole.nu, settings.unknown_timeouts(whole.nu)
+    for _ in range(_ROUNDS):
+        seen, each = _stops(solution, best, most), list(settings.timeouts(nu))
+        found = [one for one in seen if unknown[one.channels.start]]
+        for channels, _, seconds in found:
+            each[channels] = [seconds] * len(each[channels])
+        if best is solution:
+            stops = seen
+        if np.allclose(each, best.settings.timeouts(nu), rtol=_ALIKE, atol=0.0):
+            if len(seen) < most or most == len(whole.inputs):
+                break
+            most += 1
+            continue
+        other = again(settings.replace(timeout=tuple(each)), False)
+        if other is None or not _explains_more(other, best):
+            break
+        stops, best = seen, replace(other, choices=(*other.choices, *(
+            Choice('timeout', round(seconds, 4), f'of input {name}: more is explained if it '
+                   'counts as 0 so long after a message') for _, name, seconds in found)))
+    return best, stops
+
+
+class _Stop(NamedTuple):
+    """An input that acts as if it were 0 while it is silent."""
+
+    channels: slice
+    name: str
+    seconds: float      # after a message
+
+
+def _stops(solution: Solution, model: Solution, most: int) -> list[_Stop]:
+    """Return what seems to stop inputs, given the records as they are and a model of them."""
+    if solution.simulated is None or solution.refit or model.simulated is None:
+        return []
     parts = solution.part.parts
-    found = None if solution.simulated is None or solution.refit else \
-        times_out(*solution.simulated, [p.u_level for p in parts])
-    if found is None:
-        return slice(0), '', 0.0
-    first = parts[0].u[channel_slices(parts[0].record.inputs)[found[0]].start]
-    channels = next(c for c in channel_slices(parts[0].whole.inputs) if first < c.stop)
-    return channels, parts[0].whole.input_names[first], found[1]
+    own, whole = channel_slices(parts[0].record.inputs), parts[0].whole
+    found = times_out(solution.simulated[0], *model.simulated[1:], [p.u_level for p in parts],
+                      most)
+    firsts = [(parts[0].u[own[place].start], seconds) for place, seconds in found.items()]
+    return [_Stop(channels, whole.input_names[first], seconds) for first, seconds in firsts
+            for channels in channel_slices(whole.inputs)
+            if channels.start <= first < channels.stop]
+
+
+def _doubt(name: str, seconds: float) -> Doubt:
+    return (f'input {name} acts as if it were 0 from about {seconds:.2g} s after a message on, '
+            'while it is silent: a timeout seems to stop the robot, or messages were lost',
+            f'{name.partition("[")[0]}{TIMEOUT}{seconds:.2g}')
 
 
 def _explains_more(one: Solution, other: Solution) -> bool:
