@@ -24,6 +24,7 @@ from ctsid_core.search.tried import beats, tried
 from ctsid_core.settings import Settings
 from ctsid_core.signals.gaps import FEWEST, silences
 from ctsid_core.signals.record import channel_slices
+from ctsid_core.signals.timeouts import in_words
 
 _MORE = 1.5           # times the error elsewhere: what was sent last did not go on
 _ROUNDS = 6           # as often timeouts are looked for, unless they stay as they are ...
@@ -94,9 +95,11 @@ def _with_timeouts(solution: Solution, settings: Settings,
         other = again(settings.replace(timeout=tuple(each)), False)
         if other is None or not _explains_more(other, best):
             break
-        stops, best = seen, replace(other, choices=(*other.choices, *(
-            Choice('timeout', round(seconds, 4), f'of input {name}: more is explained if it '
-                   'counts as 0 so long after a message') for _, name, seconds in found)))
+        stops, best = seen, replace(
+            other, notes=(*other.notes, *in_words(whole.input_names, each)), choices=(
+                *other.choices, *(Choice('timeout', round(seconds, 4), f'of input {name}: so long '
+                                         'after a message it counts as 0, which explains more')
+                                  for _, name, seconds in found)))
     return best, stops
 
 
@@ -116,16 +119,15 @@ def _stops(solution: Solution, model: Solution, most: int) -> list[_Stop]:
     own, whole = channel_slices(parts[0].record.inputs), parts[0].whole
     found = times_out(solution.simulated[0], *model.simulated[1:], [p.u_level for p in parts],
                       most)
-    firsts = [(parts[0].u[own[place].start], seconds) for place, seconds in found.items()]
-    return [_Stop(channels, whole.input_names[first], seconds) for first, seconds in firsts
-            for channels in channel_slices(whole.inputs)
-            if channels.start <= first < channels.stop]
+    return [_Stop(channels, ', '.join(whole.input_names[channels]), seconds)
+            for place, seconds in found.items() for channels in channel_slices(whole.inputs)
+            if parts[0].u[own[place].start] in range(channels.start, channels.stop)]
 
 
 def _doubt(name: str, seconds: float) -> Doubt:
     return (f'input {name} acts as if it were 0 from about {seconds:.2g} s after a message on, '
             'while it is silent: a timeout seems to stop the robot, or messages were lost',
-            f'{name.partition("[")[0]}{TIMEOUT}{seconds:.2g}')
+            f'{name.partition(",")[0].partition("[")[0]}{TIMEOUT}{seconds:.2g}')
 
 
 def _explains_more(one: Solution, other: Solution) -> bool:

@@ -41,3 +41,9 @@ def stopped(signal: Signal, timeout: float, rest: Array | float = 0.0) -> Signal
         return signal
     return replace(signal, time=np.insert(t, at + 1, late[at]),
                    values=np.insert(signal.values, at + 1, rest, axis=0))
+
+
+def in_words(names: Sequence[str], timeout: Sequence[float]) -> tuple[str, ...]:
+    """Return a sentence on each input that a timeout stops."""
+    return tuple(f'input {name} counts as 0 from {seconds:.3g} s after a message on, until the '
+                 'next one' for name, seconds in zip(names, timeout, strict=True) if seconds)
