@@ -228,7 +228,7 @@ def test_timeouts_of_channels_and_of_all():
     config = parse_parameters(two | {'force.timeout': 0.5})
     assert config.settings.timeout == ('auto', 0.5, 0.5, 0.5)
     assert config.settings.delay == 'auto'
-    assert parse_parameters(yaml.safe_load(dump_config(config))['/**']['ros__parameters']) == config
+    assert parse_config(yaml.safe_load(dump_config(config))) == config
     one = two | {'force': {'topic': '/cmd', 'field': 'data[0:3]', 'timeout': 0.5}}
     assert 'but both are of /cmd' in only_fault(one)
     out = plain(rate={'topic': '/imu', 'field': 'x', 'timeout': 0.5})
