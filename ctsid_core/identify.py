@@ -57,9 +57,10 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     Raises
     ------
     SettingsError
-        If `settings.delay` does not fit the number of inputs.
+        If `settings.delay` or `settings.timeout` does not fit the number of inputs.
     DataError
-        If several records differ in the number, names or units of their channels.
+        If several records differ in the number, names or units of their channels, or channels of
+        one signal in their timeouts.
     Cancelled
         If `cancelled` said so.
 

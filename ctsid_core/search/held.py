@@ -10,7 +10,7 @@ on straight lines and on curves, have as many numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -92,6 +92,12 @@ def times_out(samples: Samples, fit: Fit, free: Free, levels: Sequence[Array],
                 for r, rest in zip(thin.records, rests, strict=True)])
         return max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
 
+    return _likeliest(gain, silent, most)
+
+
+def _likeliest(gain: Callable[[dict[int, float]], float], silent: Sequence[int],
+               most: int) -> dict[int, float]:
+    """Return timeouts of some inputs that gain most, each enough to be sure of it."""
     found, least = dict[int, float](), _SURELY
     for _ in range(min(most, len(silent))):
         more = [found | {k: t} for k in silent if k not in found for t in _TIMEOUTS]

@@ -61,13 +61,11 @@ def of_silent_inputs(solution: Solution, settings: Settings,
     """
     timed, stops = _with_timeouts(solution, settings, again)
     known = timed.settings.timeouts(timed.part.parts[0].whole.nu)
-    lost = lost_inputs(timed)
-    doubts = [] if lost and timed is not solution else [
-        _doubt(name, seconds) for channels, name, seconds in stops
-        if abs(seconds - known[channels.start]) > _APART * seconds]
-    if lost:
-        timed = again(settings, True) or solution
-    return replace(timed, doubt=next(iter(doubts), timed.doubt))
+    found = again(settings, True) or solution if lost_inputs(timed) else timed
+    doubts = (_doubt(name, seconds) for channels, name, seconds in stops
+              if found is timed or timed is solution
+              if abs(seconds - known[channels.start]) > _APART * seconds)
+    return replace(found, doubt=next(doubts, found.doubt))
 
 
 def _with_timeouts(solution: Solution, settings: Settings,
