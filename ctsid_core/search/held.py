@@ -17,11 +17,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from ctsid_core.likelihood.output_error import Fit, Free
+from ctsid_core.likelihood.output_error import Fit, Free, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 from ctsid_core.search.by_order import SEARCHED
-from ctsid_core.search.tried import SEARCH, Tried, price, roughly
+from ctsid_core.search.tried import SEARCH, Tried, price, roughly, tried
 from ctsid_core.settings import Hold
 from ctsid_core.signals.gaps import silent_between
 from ctsid_core.signals.record import Signal, channel_slices
@@ -35,6 +35,8 @@ _MOVES = 0.5          # of its samples differ from those before: else an input i
 _TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # after which they do [s]
 _BETWEEN = 1.3        # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.003      # of a timeout: it is looked for no more closely
+_STARTS = 3           # poles that it is looked for with, too: from so many over the length ...
+_SLOWEST, _LESS = 10.0, 0.25    # ... to this part of the fastest
 _ASKED = 'what inputs do between their samples'
 
 
@@ -83,6 +85,9 @@ def times_out(samples: Samples, fit: Fit, free: Free, levels: Sequence[Array],
         return {}
     thin = samples.thinned(SEARCHED)
     own = roughly(thin, fit.model.poles, fit.model.delay, free, fit)
+    # The poles of what was held may be far from those of what acts.
+    starts = [own, *(tried(thin, fit_at(thin, np.array([-p + 0j]), fit.model.delay, free), free)
+                     for p in np.geomspace(_SLOWEST / thin.length, _LESS * free.fastest, _STARTS))]
 
     def gain(timeouts: dict[int, float]) -> float:
         other = thin
@@ -90,7 +95,7 @@ def times_out(samples: Samples, fit: Fit, free: Free, levels: Sequence[Array],
             other = _with_input(other, place, [
                 stopped(r.inputs[place], timeout, rest[place])
                 for r, rest in zip(thin.records, rests, strict=True)])
-        return max(_gains(other, own, [own], np.zeros(samples.nu), free), default=-np.inf)
+        return max(_gains(other, own, starts, np.zeros(samples.nu), free), default=-np.inf)
 
     return _likeliest(gain, silent, most)
 
@@ -98,7 +103,7 @@ def times_out(samples: Samples, fit: Fit, free: Free, levels: Sequence[Array],
 def _likeliest(gain: Callable[[dict[int, float]], float], silent: Sequence[int],
                most: int) -> dict[int, float]:
     """Return timeouts of some inputs that gain most, each enough to be sure of it."""
-    found, least = dict[int, float](), _SURELY
+    found, least = dict[int, float](), _SURELY + max(gain({}), 0.0)
     for _ in range(min(most, len(silent))):
         more = [found | {k: t} for k in silent if k not in found for t in _TIMEOUTS]
         gains = [gain(one) for one in more]
