@@ -520,7 +520,7 @@ def test_an_estimate_without_a_model_is_told_once():
 
 def test_bands_are_shaded_for_each_input():
     two = replace(TRUTH, B=np.hstack([TRUTH.B] * 2), D=np.zeros((1, 2)), delay=(0.0, 0.0),
-                  timeout=(0.0, 0.0), input_names=('a', 'b'), input_units=('', ''))
+                  input_names=('a', 'b'), input_units=('', ''))
     figures = bode_figures({'model': (two, None)}, [(0.5, 2.0), (10.0, 40.0)])
     assert [f.title for f in figures] == ['a → rate', 'b → rate']
     assert [[(s.low, s.high) for s in p.spans] for f in figures for p in f.drawing.panels] == [

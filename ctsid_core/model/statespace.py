@@ -97,8 +97,10 @@ class StateSpace:
                                                       {'noise': (ny, ny)})
         for name, shape in wanted.items():
             object.__setattr__(self, name, _shaped(name, getattr(self, name), shape))
-        for name, what in (('delay', 'dead times'), ('timeout', 'timeouts')):
-            times = tuple(float(d) for d in getattr(self, name)) or (0.0,) * nu
+        # No timeouts are none of any number of inputs: `replace` need not name them.
+        for name, what, given in (('delay', 'dead times', self.delay), (
+                'timeout', 'timeouts', self.timeout if any(self.timeout) else ())):
+            times = tuple(float(d) for d in given) or (0.0,) * nu
             if len(times) != nu or not all(0 <= d < float('inf') for d in times):
                 raise DataError(f'`{name}` is {times}; wanted are {nu} {what} in s, one per '
                                 'input, none negative')
