@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
-from ctsid_core.search.lost_inputs import lost_inputs
+from ctsid_core.search.lost_inputs import of_silent_inputs
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.solve import solve
 from ctsid_core.search.task import own_delays
@@ -26,6 +27,7 @@ from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
+from ctsid_core.signals.timeouts import acting
 from ctsid_core.subspace.methods import METHODS
 
 
@@ -56,9 +58,10 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     Raises
     ------
     SettingsError
-        If `settings.delay` does not fit the number of inputs.
+        If `settings.delay` or `settings.timeout` does not fit the number of inputs.
     DataError
-        If several records differ in the number, names or units of their channels.
+        If several records differ in the number, names or units of their channels, or channels of
+        one signal in their timeouts.
     Cancelled
         If `cancelled` said so.
 
@@ -107,7 +110,7 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 
 def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -> Estimate:
     effort.check()
-    part = join_records(records, settings.with_known_delays(), effort.check)
+    part = _joined(records, settings, effort)
     if isinstance(part, Unusable):
         return unusable_estimate(part.status, records[0], settings, part.notes)
     try:
@@ -117,21 +120,32 @@ def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -
         return unusable_estimate(Status.UNRELIABLE, records[0], settings, part.notes, str(error))
 
 
+def _joined(records: tuple[Record, ...], settings: Settings, effort: Effort,
+            lost: bool = False) -> Joint | Unusable:
+    """Return what can be used of records, their inputs as they act."""
+    return join_records(
+        [replace(r, inputs=acting(r.inputs, settings.timeouts(r.nu))) for r in records],
+        settings.with_known_delays(), effort.check, lost=lost)
+
+
 def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             effort: Effort) -> Estimate:
     method = METHODS[settings.method]
     refined = method.refines and settings.refine
 
-    def found(part: Joint) -> Solution | None:
-        if refined:
-            return solve(part, settings, effort)
-        return solve_by(method, part, settings, effort)
+    def found(part: Joint | Unusable, settings: Settings) -> Solution | None:
+        by = solve if refined else partial(solve_by, method)
+        each = settings.timeouts(records[0].nu)
+        own = settings.replace(timeout=each if len(set(each)) > 1 else max(each, default=0.0))
+        return None if isinstance(part, Unusable) else given_back(
+            part, lambda one: by(one, own, effort), effort)
 
-    solution = given_back(part, found, effort)
-    if solution is not None and lost_inputs(solution) and not effort.beyond(SEARCH):
-        other = join_records(records, settings.with_known_delays(), effort.check, lost=True)
-        if not isinstance(other, Unusable):
-            solution = given_back(other, found, effort) or solution
+    def again(settings: Settings, lost: bool) -> Solution | None:
+        return None if effort.beyond(SEARCH) else found(
+            _joined(records, settings, effort, lost), settings)
+
+    solution = found(part, settings)
+    solution = solution and of_silent_inputs(solution, settings, again)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
                                  spent=effort.beyond(SEARCH))

@@ -85,6 +85,12 @@ class Settings:
         'auto', 'Dead time of the inputs: one for all, or one per input; auto: estimated from '
         'the data.', unit='s', low=0.0, high=LONGEST_DELAY, words=('auto',), structural=True,
         when='Set it to 0.0 where commands act at once, or to a known value.')
+    timeout: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'Time after a message from which on a held input counts as 0 until the next one: '
+        'one for all, or one per input; 0.0: never; auto: found from the data.', unit='s',
+        low=0.0, high=LONGEST_DELAY, words=('auto',), structural=True,
+        when='Set it to the timeout of the driver (cmd_vel_timeout), or to 0.0 where the last '
+        'command goes on.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
         when='Set it to false to see the plain subspace estimate.')
@@ -189,11 +195,19 @@ class Settings:
 
         Raises `SettingsError` if `delay` is a sequence of another length.
         """
-        return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each(nu))
+        return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each('delay', nu))
 
     def unknown_delays(self, nu: int) -> tuple[bool, ...]:
         """Return of which inputs the dead time is to be found; raises like `delays`."""
-        return tuple(isinstance(d, str) for d in self._each(nu))
+        return tuple(isinstance(d, str) for d in self._each('delay', nu))
+
+    def timeouts(self, nu: int) -> tuple[float, ...]:
+        """Return the timeout of each of `nu` inputs [s]; 0 where it is to be found."""
+        return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each('timeout', nu))
+
+    def unknown_timeouts(self, nu: int) -> tuple[bool, ...]:
+        """Return of which inputs the timeout is to be found."""
+        return tuple(isinstance(d, str) for d in self._each('timeout', nu))
 
     def longest_delay(self, nu: int, length: float) -> float:
         """Return the longest dead time of `nu` inputs in a record of some length [s]."""
@@ -210,13 +224,14 @@ class Settings:
         """Return a copy for consecutive windows, with a budget that suits their stride."""
         return self if self.budget else self.replace(budget=OF_STRIDE * self.window_stride)
 
-    def _each(self, nu: int) -> tuple[float | str, ...]:
-        if not isinstance(self.delay, tuple):
-            return (self.delay,) * nu
-        if len(self.delay) != nu:
-            raise SettingsError([f'`delay` has {len(self.delay)} values but there are {nu} '
+    def _each(self, name: str, nu: int) -> tuple[float | str, ...]:
+        given = getattr(self, name)
+        if not isinstance(given, tuple):
+            return (given,) * nu
+        if len(given) != nu:
+            raise SettingsError([f'`{name}` has {len(given)} values but there are {nu} '
                                  'inputs; give one for all, or one per input'])
-        return self.delay
+        return given
 
     @classmethod
     def from_dict(cls, values: Mapping[str, object]) -> Settings:

@@ -314,6 +314,9 @@ def test_the_second_method_is_told_order_and_dead_time():
     cross_checked(found, Settings(method='gobf', cross_check='hd-pbsid', delay=0.3),
                   identify_again)
     assert asked[-1] == Settings(order=1, delay=(0.3,))
+    stops = replace(found, model=replace(found.model, timeout=(0.5,)))
+    cross_checked(stops, given, identify_again)
+    assert asked[-1].timeout == (0.5,)
 
 
 def with_delay(estimate: Estimate, delay: float, std: float) -> Estimate:

@@ -258,6 +258,21 @@ def test_yaml_is_the_model(folder, model):
 
 
 @pytest.mark.parametrize('to', SUFFIXES)
+def test_a_timeout_is_told_in_every_format(folder, to):
+    model = replace(model_of(), timeout=(0.5, 0.0))
+    made = export(model, to, *(('--rate', 100) if to == 'c' else ()))
+    if to == 'matlab':
+        assert scipy.io.loadmat(made)['timeout'].ravel().tolist() == [0.5, 0.0]
+    elif to == 'yaml':
+        inputs = yaml.safe_load(made.read_text())['inputs']
+        assert [channel.get('timeout') for channel in inputs] == [0.5, None]
+    else:
+        text = ' '.join(made.read_text().split())
+        assert 'counts as 0 from 0.5 s after a message on' in text
+        assert 'this is not in the equations' in text
+
+
+@pytest.mark.parametrize('to', SUFFIXES)
 def test_a_rejected_model_only_if_it_is_wanted(folder, to, capsys):
     words = ('--rate', 100) if to == 'c' else ()
     export(model_of(), to, *words, grade=Grade.REJECT, code=1)

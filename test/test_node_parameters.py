@@ -108,7 +108,7 @@ def test_a_generated_file_suits_the_node(make):
     node = make(dump_config(config))
     assert read(node) == config
     names = set(node.list_parameters([], 0).names)
-    assert {*SETTINGS_KEYS, *NODE_KEYS} - {'delay'} <= names
+    assert {*SETTINGS_KEYS, *NODE_KEYS} - {'delay', 'timeout'} <= names
     assert {f'torque.{key}' for key in CHANNEL_KEYS} <= names
     assert 'rate.delay' not in names
     assert node.get_parameter('window.length').value == 10.0
@@ -233,7 +233,7 @@ def test_every_parameter_describes_itself(make):
     node = make(dump_config(example()))
     for name, declared in {**OWN_KEYS, **{f'torque.{k}': d for k, d in CHANNEL_KEYS.items()}
                            }.items():
-        if name == 'delay':
+        if name in ('delay', 'timeout'):
             continue
         meta, told = declared.metadata, node.describe_parameter(name)
         assert declared.metadata['doc'] in told.description

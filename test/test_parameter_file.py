@@ -221,6 +221,20 @@ def test_delays_of_channels_and_of_all():
     assert parse_parameters(two | {'force.delay': 0.3}).settings.delay == ('auto', 0.3, 0.3, 0.3)
 
 
+def test_timeouts_of_channels_and_of_all():
+    two = plain(inputs=['torque', 'force'], force={'topic': '/f', 'field': 'data[0:3]'})
+    assert parse_parameters(two).settings.timeout == 'auto'
+    assert parse_parameters(two | {'timeout': 0.0}).settings.timeout == 0.0
+    config = parse_parameters(two | {'force.timeout': 0.5})
+    assert config.settings.timeout == ('auto', 0.5, 0.5, 0.5)
+    assert config.settings.delay == 'auto'
+    assert parse_config(yaml.safe_load(dump_config(config))) == config
+    one = two | {'force': {'topic': '/cmd', 'field': 'data[0:3]', 'timeout': 0.5}}
+    assert 'but both are of /cmd' in only_fault(one)
+    out = plain(rate={'topic': '/imu', 'field': 'x', 'timeout': 0.5})
+    assert 'timeouts belong to the inputs' in only_fault(out)
+
+
 def test_delays_of_different_inputs_need_known_widths():
     two = plain(inputs=['torque', 'force'], force={'topic': '/f', 'field': 'data[:]'})
     assert parse_parameters(two | {'delay': 0.2}).settings.delay == 0.2
@@ -331,7 +345,7 @@ def test_a_written_file_suits_ros_which_knows_more_booleans():
 def test_a_written_file_explains_every_parameter():
     text = ' '.join(dump_config(Config((TORQUE, RATE))).replace('#', ' ').split())
     for declared in (*CHANNEL_KEYS.values(), *OWN_KEYS.values()):
-        if declared.name == 'delay' and declared is SETTINGS_KEYS['delay']:
+        if declared in (SETTINGS_KEYS['delay'], SETTINGS_KEYS['timeout']):
             continue  # the channels have it
         assert ' '.join(declared.metadata['doc'].split()) in text
         assert ' '.join(declared.metadata['when'].split()) in text
@@ -361,6 +375,9 @@ def test_parameters_take_other_values():
     late = with_parameters(config, ['torque.delay=0.2'])
     assert late.inputs[0].delay == 0.2
     assert with_parameters(late, ['delay=auto']).inputs[0].delay == 'auto'
+    late = with_parameters(config, ['torque.timeout=0.5'])
+    assert late.inputs[0].timeout == late.settings.timeout == 0.5
+    assert with_parameters(late, ['timeout=0.0']).inputs[0].timeout == 0.0
 
 
 @pytest.mark.parametrize(('changes', 'faults'), [

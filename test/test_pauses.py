@@ -17,11 +17,13 @@ import pytest
 from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
+from ctsid_core.errors import DataError
 from ctsid_core.likelihood.residuals import motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.signals.gaps import between_pauses, silent_at_end
+from ctsid_core.signals.timeouts import acting
 from ctsid_ros.studies.robots.families import experiment
 
 PLANT = plant([[0.0, 1.0], [-25.0, -5.0]], [[0.0], [25.0]], [[1.0, 0.0]])
@@ -151,29 +153,131 @@ def test_a_held_input_that_stays_while_it_is_silent_does_not_pause(again, seed):
     assert not any('pause' in note or 'nothing to be used' in note for note in found.notes)
 
 
+def commanded(seed: int, *timeouts: float | None, duration: float = 60.0) -> Record:
+    """
+    Return a base driven by keys that are held for a while, sent at 20 Hz; of as many inputs.
+
+    Each of them is 0 from a timeout after its last message on, or (None) holds.
+    """
+    rng, t = np.random.default_rng(seed), np.arange(0.0, duration, 0.005)
+    inputs, acts = [], np.zeros((len(t), len(timeouts)))
+    for j, timeout in enumerate(timeouts):
+        sent, command, begins = [], [], rng.uniform(0.1, 0.6)
+        while begins < duration - 5.0:
+            stamps = begins + 0.05 * np.arange(rng.integers(5, 30))
+            value = rng.choice((-1.0, 1.0)) * rng.choice((0.5, 1.0))
+            following = stamps[-1] + rng.uniform(0.85, 3.0)
+            stops = stamps[-1] + (timeout or duration)
+            acts[(t >= begins) & (t < stops), j] = value
+            acts[t >= following, j] = 0.0
+            sent, command, begins = [*sent, stamps], [*command, value + 0.0 * stamps], following
+        if timeout is None:
+            acts[t >= sent[-1][0], j] = command[-1][0]
+        inputs.append(Signal(np.concatenate(sent), np.concatenate(command)[:, np.newaxis], 'zoh',
+                             ('vw'[j],)))
+    t_y = np.arange(0.0, duration - 2.0, 0.02)
+    truth = PLANT if len(inputs) == 1 else TWO
+    y = noisy(rng, held_response(truth, t, acts, t_y), 30.0)
+    return Record.from_signals(inputs, (Signal(t_y, y),))
+
+
+TWO = plant([[-4.0, 0.0], [0.0, -7.0]], [[4.0, 0.0], [0.0, 5.6]], [[1.0, 0.0], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize('seed', [5, *slow(6, 7, 8)])
+@pytest.mark.parametrize('timeout', [0.25, 0.5, *slow(0.2, 0.6, 0.8, 1.0)])
+def test_a_timeout_that_stops_the_robot_is_found(timeout, seed):
+    """Models of what was held were GOOD by their predictions, with gains halved."""
+    found = identify(commanded(seed, timeout))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.timeout == pytest.approx((timeout,), rel=0.02)
+    assert found.settings.timeout == found.model.timeout[0]
+    assert off(found) < 4.0 * np.max(found.pole_std) / 5.0
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=4.0 * found.dc_gain_std[0, 0])
+    assert any(c.name == 'timeout' for c in found.choices)
+    assert any(n.startswith('input v counts as 0 from') for n in found.notes)
+    other = commanded(seed + 100, timeout)
+    assert simulation(found.model, other).fit[0] > 95.0
+    assert simulation(replace(found.model, timeout=(0.0,)), other).fit[0] < 70.0
+    settled, simulated = other.outputs[0].time > 5.0, found.model.simulate(
+        other.inputs, other.outputs[0].time)
+    assert np.std((simulated - other.outputs[0].values)[settled]) < 0.05 * np.std(simulated)
+    again = identify(commanded(seed, timeout), found.settings)
+    assert again.model.timeout == found.model.timeout
+    assert again.good
+
+
 @pytest.mark.parametrize('seed', [5, *slow(6, 7)])
-@pytest.mark.parametrize('timeout', [None, 0.5, *slow(0.2, 0.25)])
-def test_a_timeout_that_stops_the_robot_is_told(timeout, seed):
-    """Keys that are held for a while: models that hold were GOOD by predictions, gains halved."""
+def test_a_base_that_holds_has_no_timeout(seed):
+    given = commanded(seed, None)
+    found = identify(given)
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.timeout == (0.0,)
+    assert off(found) < 0.01
+    told = identify(given, Settings(timeout=0.0))
+    assert told.model == found.model
+    assert not any('timeout' in words for words in (*found.notes, *map(str, found.choices)))
+
+
+@pytest.mark.parametrize('seed', slow(1, 4, 5))
+@pytest.mark.parametrize('timeouts', [(0.5, 0.5), (0.5, 1.0), (0.5, None), (None, 0.5)])
+def test_commands_of_two_topics_have_timeouts_of_their_own(timeouts, seed):
+    found = identify(commanded(seed, *timeouts))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.timeout == pytest.approx([t or 0.0 for t in timeouts], rel=0.02)
+    assert np.diag(found.model.dc_gain) == pytest.approx([1.0, 0.8], rel=0.02)
+
+
+def test_channels_of_one_message_share_a_timeout():
+    one, other = (commanded(seed, 0.5, duration=40.0) for seed in (3, 4))
+    values = one.inputs[0].values @ np.ones((1, 2))
+    twist = replace(one, inputs=(replace(one.inputs[0], values=values, names=('v', 'w')),))
+    with pytest.raises(DataError, match='give them the same'):
+        identify(twist, Settings(timeout=(0.5, 0.0)))
+    found = identify([one, other])
+    assert found.model.timeout == pytest.approx((0.5,), rel=0.02)
+    assert found.good
+
+
+def test_a_window_knows_of_silence_that_begins_before_it():
+    given = commanded(6, 0.5)
+    begins = given.inputs[0].time[np.argmax(np.diff(given.inputs[0].time) > 2.0)] + 0.3
+    found = identify(given.between(begins, begins + 20.0), Settings(timeout=0.5))
+    assert found.fit[0] > 95.0
+    assert off(found) < 0.02
+
+
+@pytest.mark.parametrize(('timeout', 'told'), [(0.0, True), (1.0, True), (0.52, False)])
+def test_another_timeout_than_is_given_is_told(timeout, told):
+    found = identify(commanded(5, 0.5), Settings(timeout=timeout))
+    assert found.model is None or found.model.timeout == (timeout,)
+    words = ' '.join((found.verdict.reason, *found.notes))
+    assert ('`v.timeout: 0.5`' in words) == told
+    assert not (told and found.good)
+
+
+def test_what_acts_is_zero_after_a_timeout():
+    given = Signal(np.array([0.0, 0.1, 1.0, 2.0]), np.array([[2.0], [3.0], [0.0], [4.0]]), 'zoh')
+    found, = acting((given,), (0.5,))
+    assert found.time.tolist() == [0.0, 0.1, 0.6, 1.0, 2.0, 2.5]
+    assert found.values.ravel().tolist() == [2.0, 3.0, 0.0, 0.0, 4.0, 0.0]
+    assert acting((found,), (0.5,)) == (found,)
+    for signal, timeout in ((given, 0.0), (replace(given, hold='linear'), 0.5)):
+        assert acting((signal,), (timeout,)) == (signal,)
+
+
+@pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])
+def test_commands_that_are_lost_are_no_timeout(seed):
+    """Twelve times for 2 s: they were WEAK as if a timeout stopped them."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.05)
-    sent, command, acts, k = [], [], np.zeros(len(t)), 4
-    while k < len(t) - 80:
-        count, value = int(rng.integers(5, 30)), rng.choice([-1.0, 1.0]) * rng.choice([0.5, 1.0])
-        sent += range(k, k + count)
-        command += [value] * count
-        silent = int(rng.integers(16, 60))
-        held = silent if timeout is None else round(timeout / 0.05)
-        acts[k:k + count + min(held, silent)] = value
-        k += count + silent
-    acts[k:] = 0.0 if timeout else command[-1]
-    t_y = np.arange(0.0, 58.0, 0.02)
-    y = noisy(rng, held_response(PLANT, t, acts[:, np.newaxis], t_y), 30.0)
-    given = Record.from_arrays(t[sent], np.array(command), t_y, y, input_hold='zoh')
-    found = identify(given, Settings(feedthrough=False))
-    assert found.good == (timeout is None)
-    told = re.search('as if it were 0 from about (.*) s after a message', found.verdict.reason)
-    assert (told is None) == (timeout is None)
-    assert timeout is None or float(told[1]) == pytest.approx(timeout + 0.05, rel=0.3)
+    u = np.repeat(rng.choice((-1.0, 1.0), len(t)) * rng.choice((0.5, 1.0), len(t)), 14)
+    u, t_y = u[:len(t), np.newaxis], np.arange(0.0, 58.0, 0.02)
+    y = noisy(rng, held_response(PLANT, t, u, t_y), 30.0)
+    lost = np.any([(a < t) & (t < a + 2.0) for a in np.linspace(3.0, 55.0, 12)], axis=0)
+    found = identify(Record.from_arrays(t[~lost], u[~lost], t_y, y, input_hold='zoh'))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.timeout == (0.0,)
+    assert off(found) < 0.01
 
 
 def test_samples_that_come_in_bursts_are_no_parts():

@@ -56,7 +56,8 @@ def findings() -> list[tuple[Remedy, str]]:
     line = replace(WORST.numbers, excitation=(Excitation('a', 3.0, 3.0, 9.0, 1.0, 0.01),) * 2)
     late = replace(WORST, lead=np.array([0.1, 0.06]))
     jumps = Drift(0, 9.0, inputs=(InputDrift('a', 0.2, 0.0),), moved=9.0, jumps=3)
-    acts = replace(WORST, stops=('a', 0.5), at_once=(0.1, np.inf), drift=jumps)
+    acts = replace(WORST, doubt=('input a acts as if it were 0', 'a.timeout: 0.5'),
+                   at_once=(0.1, np.inf), drift=jumps)
     for one in (replace(WORST, unproven=True), late, acts, *(
             replace(WORST, numbers=n, fixed_inputs=()) for n in (line, shared))):
         found += rules._weaknesses(one)

@@ -30,6 +30,7 @@ from ctsid_ros.replay.replay import Result
 from ctsid_ros.report.document import Bullets, Figure, Section, to_markdown, to_text
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 from ctsid_ros.report.drawing import thinned as fewer
+from ctsid_ros.report.explorer import facts
 from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.outputs import sampling_figures
 from ctsid_ros.report.page import to_html
@@ -527,6 +528,14 @@ def test_bands_are_shaded_for_each_input():
     first, second = bode_figures({'model': (two, None)}, [None, (1.0, 2.0)])
     assert not first.drawing.panels[0].spans
     assert second.drawing.panels[0].spans
+
+
+def test_a_timeout_is_told_where_there_is_one():
+    section = to_text([model_section(estimate(), 'Model')])
+    assert 'timeout' not in section
+    stops = replace(TRUTH, timeout=(0.5,))
+    assert ', timeout 0.500 s.' in to_text([model_section(estimate(stops), 'Model')])
+    assert facts(estimate(stops), {})['timeout [s]'] == '0.500'
 
 
 def test_choices_are_told_in_the_files_only():

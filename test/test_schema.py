@@ -38,7 +38,8 @@ def test_the_schema_names_what_the_code_writes():
     top = schema['properties']
     assert set(top) == set(model_json.TOP)
     assert set(model['properties']) == {
-        *model_json.SIZES, *model_json.WORDS, *model_json.MATRICES, 'noise', 'poles'}
+        *model_json.SIZES, *model_json.WORDS, *model_json.MATRICES, 'noise', 'poles',
+        'timeout'}
     assert set(verdict['properties']) == {f.name for f in fields(Verdict)}
     assert set(verdict['properties']['excitation']['items']['properties']) == {
         'input', *(f.name for f in fields(Excitation))} - {'name'}

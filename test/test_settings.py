@@ -122,6 +122,19 @@ def test_delays_may_be_left_to_the_data():
             Settings(delay=wrong)
 
 
+def test_timeouts_may_be_left_to_the_data():
+    assert Settings().timeout == 'auto'
+    mixed = Settings(timeout=('auto', 0.5))
+    assert mixed.timeouts(2) == (0.0, 0.5)
+    assert mixed.unknown_timeouts(2) == (True, False)
+    assert Settings.from_dict(mixed.to_dict()) == mixed
+    for wrong in ('Auto', ('auto', 'x'), True, -1.0, 61.0):
+        with pytest.raises(SettingsError, match='`timeout` is'):
+            Settings(timeout=wrong)
+    with pytest.raises(SettingsError, match='`timeout` has 2 values but there are 3 inputs'):
+        mixed.timeouts(3)
+
+
 def test_delays_are_one_for_all_or_one_each():
     assert Settings(delay=0.2).delays(3) == (0.2, 0.2, 0.2)
     assert Settings(delay=(0.1, 0.2)).delays(2) == (0.1, 0.2)

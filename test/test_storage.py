@@ -92,6 +92,7 @@ def test_the_comparison_of_this_test_sees_single_bits():
     for other in (replace(whole, model=moved), replace(whole, held_out_fit=np.zeros(2)),
                   replace(whole, notes=()), replace(whole, covariance=covariance()),
                   replace(whole, condition=1.0),
+                  replace(whole, model=replace(whole.model, timeout=(0.5, 0.0))),
                   replace(whole, model=replace(whole.model, delay=(0.0, 0.0)))):
         assert not same(whole, other)
 
@@ -106,9 +107,9 @@ def test_the_comparison_of_this_test_sees_single_bits():
     estimate(status=Status.UNRELIABLE, model=None),
     estimate(model=model(1, n=0, nu=0, ny=1), pole_std=np.empty(0), fit=np.empty(0),
              held_out_fit=np.empty(0)),
-    estimate(model=model(1, noise=None))],
+    estimate(model=model(1, noise=None)), estimate(model=model(1, timeout=(0.1 + 0.2, 0.0)))],
     ids=['all', 'covariance', 'of a rejected', 'no rows', 'rivals', 'none', 'rejected',
-         'no states', 'no noise'])
+         'no states', 'no noise', 'timeout'])
 def test_round_trip_to_the_last_bit(whole, tmp_path):
     assert same(from_json(to_json(whole)), whole)
     save_model(tmp_path / 'model.json', whole)

@@ -47,14 +47,12 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import changes_of_plant, in_record
-from ctsid_core.search.held import times_out
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
 from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastest
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
-from ctsid_core.signals.record import channel_slices
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
@@ -73,7 +71,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     errors = residuals(samples, fit)
     m, intensity = _matrices(solution, errors)
     last = part.parts[part.last]
-    model = _whole_model(last, m, solution.settings.delays(last.whole.nu), intensity)
+    model = replace(_whole_model(last, m, solution.settings.delays(last.whole.nu), intensity),
+                    timeout=solution.settings.timeouts(last.whole.nu))
     moving = StateSpace(m.A, m.B, m.C, m.D, delay=tuple(solution.delay.tolist()))
     covariance = _covariance(solution, model, sought)
     deviation = np.full(model.n, np.nan) if covariance is None else \
@@ -283,7 +282,6 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         doubt=_too_late(solution, seen[0]) or solution.doubt, wrapped=_wrapped(part),
         distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
-        stops=_stops(solution),
         at_once=tuple(np.ravel(at_once).tolist()),
         within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
@@ -319,18 +317,6 @@ def _within(solution: Solution) -> float:
     """Return the time within which the response is asked for [s]: as far as predictions go."""
     return np.inf if solution.plant is None else min(
         HORIZONS[-1] * held_interval(solution.source[0]), solution.samples.length)
-
-
-def _stops(solution: Solution) -> tuple[str, float] | None:
-    """Return the first input that acts as if it were 0 while it is silent, and after what [s]."""
-    if solution.simulated is None or solution.refit:
-        return None
-    parts = solution.part.parts
-    found = times_out(*solution.simulated, [p.u_level for p in parts])
-    if found is None:
-        return None
-    first = channel_slices(parts[0].record.inputs)[found[0]].start
-    return parts[0].whole.input_names[parts[0].u[first]], found[1]
 
 
 def _lead(found: Array, part: Usable) -> Array:

@@ -50,7 +50,8 @@ def cross_checked(found: Estimate, settings: Settings,
 
 def _second_settings(settings: Settings, model: StateSpace) -> Settings:
     """Return the settings of the second method."""
-    other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED, refine=True)
+    other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED, refine=True,
+                             timeout=model.timeout if any(model.timeout) else settings.timeout)
     if METHODS[other.method].refines and any(settings.unknown_delays(model.nu)):
         # States may stand for a dead time that the first did not look for.
         return other

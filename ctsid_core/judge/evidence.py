@@ -42,7 +42,6 @@ class Evidence:
     unproven: bool = False          # modes grow of which the data do not show that they do
     unheld: bool = False            # modes grow that no input could hold
     fastest: bool = False           # a pole is about as fast as any that is looked for
-    stops: tuple[str, float] | None = None      # an input that acts as if it were 0 while silent
     # (nu,), if D is not 0: the distance to a controller that answers at once
     at_once: tuple[float, ...] = ()
     drift: Drift = Drift()

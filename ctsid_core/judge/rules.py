@@ -24,7 +24,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Excitation, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
-from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN, OTHER_HOLD
+from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN, OTHER_HOLD, TIMEOUT
 from ctsid_core.settings import Settings
 from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.instants import after_start
@@ -199,12 +199,6 @@ def _leads(e: Evidence, j: int) -> str:
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     yield from _faults(e)
-    if e.stops:
-        name, timeout = e.stops
-        yield Remedy.SIGNALS, (
-            f'Input {name} acts as if it were 0 from about {timeout:g} s after a message on, '
-            'while it is silent: a timeout seems to stop the robot (or messages were lost); take '
-            'as input what its actuators get.')
     for j in np.flatnonzero(np.array(e.at_once) < _CONTROLLER).tolist():
         yield Remedy.SETTING, (
             f'Outputs tell at once how input {e.input_names[j]} moves, and the response to it is '
@@ -272,7 +266,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
-    if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]):
+    if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]
+                    or TIMEOUT in e.doubt[1]):
         yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'
     unseen = e.numbers.held_out_error
     for i in _largest_first(unseen / allowed(e.fitted), 1.0):

@@ -88,9 +88,10 @@ def _model(model: StateSpace | None) -> dict[str, object] | None:
         return None
     poles = zip(model.poles.real, model.poles.imag, model.natural_frequency, model.damping,
                 strict=True)
+    timeout = {'timeout': model.timeout} if any(model.timeout) else {}
     return {**{key: getattr(model, key) for key in (*SIZES, *WORDS, *MATRICES, 'noise')},
-            'poles': [dict(zip(('re', 'im', 'natural_frequency', 'damping'), pole, strict=True))
-                      for pole in poles]}
+            **timeout, 'poles': [dict(zip(('re', 'im', 'natural_frequency', 'damping'), pole,
+                                          strict=True)) for pole in poles]}
 
 
 def _covariance(covariance: Covariance | None) -> dict[str, object] | None:
@@ -184,12 +185,14 @@ def _read_model(value: Any, where: str) -> StateSpace | None:
         **dict.fromkeys((*SIZES, 'poles'), read.anything),
         **dict.fromkeys(WORDS, read.listed(read.word)),
         **{key: read.numbers(*(size[s] for s in shape)) for key, shape in MATRICES.items()},
-        'noise': read.numbers(ny, ny) if some else read.anything})
+        'noise': read.numbers(ny, ny) if some else read.anything,
+        'timeout': read.numbers(size['nu'])}, optional=('timeout',))
+    poles = given.pop('poles')
     try:
-        model = StateSpace(**{key: given[key] for key in (*MATRICES, *WORDS, 'noise')})
+        model = StateSpace(**{key: given[key] for key in given if key not in SIZES})
     except DataError as error:
         raise StorageError(f'`{where}`: {error}') from error
-    _check_poles(given['poles'], model, where)
+    _check_poles(poles, model, where)
     return model
 
 

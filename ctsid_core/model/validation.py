@@ -23,6 +23,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.whiteness import independence, whiteness
 from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, channel_slices
+from ctsid_core.signals.timeouts import acting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +102,8 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
 
 def _respond(model: StateSpace, record: Record, times: Array) -> tuple[Array, Array]:
     # Outputs of a bounded solution of the model, and its state at times[0]
-    x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, None)
+    x, u = respond(model.A, model.B, model.x_trim, acting(record.inputs, model.timeout),
+                   model.delay, times, None)
     with np.errstate(over='ignore', invalid='ignore'):
         y = x @ model.C.T + u @ model.D.T + model.y_trim
     return np.where(np.isnan(y), np.inf, y), x[0] if len(x) else np.zeros(model.n)
@@ -274,6 +276,7 @@ def residual_tests(model: StateSpace, record: Record, *,
         prediction(model, record, 1)
     size, slowest = spread(found.y), float(min(model.natural_frequency, default=np.inf))
     memory = 3 / slowest if slowest > 0 else np.inf
+    inputs = acting(record.inputs, model.timeout)
     white, independent = [], []
     for i in range(model.ny):
         e = found.y[:, i] - found.y_hat[:, i]
@@ -281,6 +284,6 @@ def residual_tests(model: StateSpace, record: Record, *,
         white.append(whiteness(e[rows]))
         independent.append(np.full(model.nu, np.nan) if not rows.any() else independence(
             found.times[rows], e[rows],
-            lambda t: input_polynomials(record.inputs, model.delay, t)[0], memory))
+            lambda t: input_polynomials(inputs, model.delay, t)[0], memory))
     return ResidualTests(whiteness=np.array(white),
                          independence=np.array(independent).reshape(model.ny, model.nu))

@@ -29,6 +29,7 @@ Doubt = tuple[str, str]
 # that are missing, too
 ANY_ORDER, ANY_DELAY, NO_DIRECT = GIVEN = ('order: 0', 'delay: auto', 'feedthrough: false')
 OTHER_HOLD = '.hold: '  # after the name of an input, before what it should be
+TIMEOUT = '.timeout: '  # the same
 
 
 GROWS = 1.0           # times e within the record: less does not tell a plant that grows

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
+from itertools import combinations
 import math
 import re
 from typing import Literal
@@ -30,7 +31,7 @@ class Channel:
 
     Parameters
     ----------
-    name, role, topic, type, field, unit, hold, stamp, delay, turn
+    name, role, topic, type, field, unit, hold, stamp, delay, timeout, turn
         See the sentences of the declaration. `hold='auto'` becomes 'zoh' for an input and
         'smooth' for an output.
 
@@ -67,6 +68,12 @@ class Channel:
         'auto', 'Dead time from this input to the outputs; auto: estimated from the data.',
         unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
         when='Set it to 0.0 where commands act at once, or to a known value.')
+    timeout: float | str = parameter(
+        'auto', 'Time after a message from which on this input, if it is held, counts as 0 until '
+        'the next one; 0.0: never; auto: found from the data. Inputs of one topic share it.',
+        unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
+        when='Set it to the timeout of the driver (cmd_vel_timeout), or to 0.0 where the last '
+        'command goes on.')
     turn: float = parameter(
         0.0, 'A full turn, of an angle that wraps: of two neighbours the second is moved by as '
         'many turns as bring it nearest to the first; 0.0 leaves the values as they are. Angles '
@@ -126,6 +133,8 @@ class Channel:
         return tuple(f'{self.name}[{i}]' for i in range(width))
 
 
+# Settings that each input has of its own
+OF_INPUTS = {'delay': 'dead time belongs', 'timeout': 'timeouts belong'}
 CHANNEL_KEYS = {parameter_name(declared): declared for declared in fields(Channel)
                 if declared.name not in ('name', 'role')}
 
@@ -140,7 +149,8 @@ class Config:
     channels : tuple of Channel
         At least one input and one output; names differ. Inputs are put first.
     settings : Settings
-        Its `delay` is composed from the delays of the input channels; leave it at 'auto'.
+        Its `delay` and `timeout` are composed from those of the input channels; leave them at
+        'auto'.
     node : NodeSettings
         What only the node reads.
 
@@ -160,10 +170,14 @@ class Config:
                    'as output; give the output the signal that the input moves'
                    for i in self.inputs for o in self.outputs
                    if (i.topic, i.field) == (o.topic, o.field)]
+        faults += [f'`{i.name}.timeout` is {i.timeout!r} and `{k.name}.timeout` {k.timeout!r}, '
+                   f'but both are of {i.topic}; give them the same'
+                   for i, k in combinations(self.inputs, 2)
+                   if i.topic == k.topic and i.timeout != k.timeout]
         if faults:
             raise SettingsError(faults)
         object.__setattr__(self, 'channels', (*self.inputs, *self.outputs))
-        object.__setattr__(self, 'settings', _with_delays(self.inputs, self.settings))
+        object.__setattr__(self, 'settings', _with_own(self.inputs, self.settings))
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
@@ -196,7 +210,8 @@ class Config:
 
     def with_channels(self, channels: Sequence[Channel]) -> Config:
         """Return a copy that has these channels; raises like `Config`."""
-        return Config(tuple(channels), self.settings.replace(delay='auto'), self.node)
+        return Config(tuple(channels), self.settings.replace(delay='auto', timeout='auto'),
+                      self.node)
 
 
 def list_faults(listed: Sequence[tuple[str, Role]]) -> list[str]:
@@ -226,18 +241,22 @@ def _text_faults(channel: Channel) -> list[str]:
         parse_field(channel.field)
     except ParseError as error:
         faults.append(f'`{name}.field`: {error}')
-    if channel.role == 'output' and channel.delay not in ('auto', 0.0):
-        faults.append(f'`{name}.delay` is {channel.delay!r}, but {name} is an output; dead time '
-                      'belongs to the inputs')
-    return faults
+    return faults + [
+        f'`{name}.{key}` is {getattr(channel, key)!r}, but {name} is an output; {what} to the '
+        'inputs' for key, what in OF_INPUTS.items()
+        if channel.role == 'output' and getattr(channel, key) not in ('auto', 0.0)]
 
 
-def _with_delays(inputs: Sequence[Channel], settings: Settings) -> Settings:
-    """Compose the settings' delay: one per scalar input, or one for all if they are equal."""
-    delays: float | str | tuple[float | str, ...] = inputs[0].delay
-    if any(channel.delay != inputs[0].delay for channel in inputs):
-        delays = tuple(channel.delay for channel in inputs for _ in range(channel.width))
-    if settings.delay not in ('auto', delays):
-        raise SettingsError([f'`delay` is {settings.delay!r}, but the input channels say '
-                             f'{delays!r}; set the delays of the channels'])
-    return settings.replace(delay=delays)
+def _with_own(inputs: Sequence[Channel], settings: Settings) -> Settings:
+    """Compose what each input has of its own: one per scalar, or one for all if all are equal."""
+    for key in OF_INPUTS:
+        each = [getattr(channel, key) for channel in inputs]
+        own: float | str | tuple[float | str, ...] = each[0]
+        if any(one != each[0] for one in each):
+            own = tuple(one for one, channel in zip(each, inputs, strict=True)
+                        for _ in range(channel.width))
+        if getattr(settings, key) not in ('auto', own):
+            raise SettingsError([f'`{key}` is {getattr(settings, key)!r}, but the input channels '
+                                 f'say {own!r}; set the {key}s of the channels'])
+        settings = settings.replace(**{key: own})
+    return settings

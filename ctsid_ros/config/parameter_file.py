@@ -21,6 +21,7 @@ from ctsid_core.errors import SettingsError
 from ctsid_core.settings import Settings, build_declared, is_number, value_faults
 from ctsid_ros.config.channels import (
     CHANNEL_KEYS,
+    OF_INPUTS,
     RESERVED,
     ROLE_LISTS,
     SETTINGS_KEYS,
@@ -115,7 +116,8 @@ def with_parameters(config: Config, changes: Sequence[str]) -> Config:
     """
     Return a config with other values of some parameters, each as `name=value`, names dotted.
 
-    One `delay` for all, or for each input in turn, takes the place of those of the channels.
+    One `delay` or `timeout` for all, or for each input in turn, takes the place of those of the
+    channels.
 
     Raises
     ------
@@ -133,8 +135,8 @@ def with_parameters(config: Config, changes: Sequence[str]) -> Config:
             flat[name] = yaml.load(value, Loader=_Loader)
         except (yaml.YAMLError, ValueError) as error:
             raise SettingsError([f'the value of {name}={value} cannot be read: {error}']) from None
-        if name == 'delay':
-            flat = {key: old for key, old in flat.items() if not key.endswith('.delay')}
+        if name in OF_INPUTS:
+            flat = {key: old for key, old in flat.items() if not key.endswith(f'.{name}')}
     return _build(flat, faults)
 
 
@@ -199,7 +201,9 @@ def _build(flat: dict[str, object], faults: list[str]) -> Config:
         else:
             rest[name] = value
     unlisted = _sort_out(rest, list(own), faults)
-    _share_delay(rest, {n: own[n] for n, role in listed if role == 'input' and n in own}, faults)
+    for key in OF_INPUTS:
+        _share(key, rest, {n: own[n] for n, role in listed if role == 'input' and n in own},
+               faults)
     settings: Settings | None = _gather(faults, build_declared, Settings, _of(SETTINGS_KEYS, rest))
     node: NodeSettings | None = _gather(faults, build_declared, NodeSettings, _of(NODE_KEYS, rest))
     channels = [_gather(faults, _channel, name, role, own[name], unlisted)
@@ -244,23 +248,23 @@ def _sort_out(rest: dict[str, object], listed: list[str], faults: list[str]) -> 
     return unlisted
 
 
-def _share_delay(rest: dict[str, object], inputs: Mapping[str, dict[str, object]],
-                 faults: list[str]) -> None:
-    """Give a delay that stands for all inputs, or for each in turn, to their channels."""
-    if 'delay' not in rest:
+def _share(key: str, rest: dict[str, object], inputs: Mapping[str, dict[str, object]],
+           faults: list[str]) -> None:
+    """Give a value that stands for all inputs, or for each in turn, to their channels."""
+    if key not in rest:
         return
-    delay = rest.pop('delay')
-    each = delay if isinstance(delay, list) else [delay] * len(inputs)
-    new = value_faults(SETTINGS_KEYS['delay'], tuple(each) if isinstance(delay, list) else delay)
+    given = rest.pop(key)
+    each = given if isinstance(given, list) else [given] * len(inputs)
+    new = value_faults(SETTINGS_KEYS[key], tuple(each) if isinstance(given, list) else given)
     if len(each) != len(inputs):
-        new.append(f'`delay` has {len(each)} values but there are {len(inputs)} input channels; '
+        new.append(f'`{key}` has {len(each)} values but there are {len(inputs)} input channels; '
                    'give one for all, or one per channel')
-    if given := [name for name, own in inputs.items() if 'delay' in own]:
-        new.append(f'`delay` is given, and `{given[0]}.delay` too; keep one of them')
+    if twice := [name for name, own in inputs.items() if key in own]:
+        new.append(f'`{key}` is given, and `{twice[0]}.{key}` too; keep one of them')
     faults += new
     for own, value in zip(inputs.values(), each, strict=False):
         if own and not new:
-            own['delay'] = value
+            own[key] = value
 
 
 def _channel(name: str, role: Role, own: Mapping[str, object], unlisted: list[str]) -> Channel:

@@ -11,7 +11,7 @@ import textwrap
 from typing import Any
 
 from ctsid_core.settings import is_number
-from ctsid_ros.config.channels import CHANNEL_KEYS, SETTINGS_KEYS, Config
+from ctsid_ros.config.channels import CHANNEL_KEYS, OF_INPUTS, SETTINGS_KEYS, Config
 from ctsid_ros.config.node_settings import NODE_KEYS
 
 _HEAD = ('One file serves the node (--ros-args --params-file FILE) and the command line '
@@ -34,7 +34,7 @@ def dump_config(config: Config, comments: bool = True) -> str:
         lines += ['', *_comment(f'The {channel.role} {channel.name}:', 4),
                   f'    {_text(channel.name)}:']
         for key, declared in CHANNEL_KEYS.items():
-            if key != 'delay' or channel.role == 'input':
+            if key not in OF_INPUTS or channel.role == 'input':
                 lines += _entry(key, declared, channel, 6, explain=number == 0)
     lines += _grouped(SETTINGS_KEYS, config.settings)
     lines += ['', *_comment('The rest is for the node; the command line has no use for it.', 4)]
@@ -56,11 +56,11 @@ def dump_brief(config: Config) -> str:
     for channel in (*config.inputs, *config.outputs):
         lines += ['', f'    {_text(channel.name)}:  # {channel.role}']
         for key, declared in CHANNEL_KEYS.items():
-            if key != 'delay' or channel.role == 'input':
+            if key not in OF_INPUTS or channel.role == 'input':
                 lines += _brief(key, declared, channel, 6)
     lines += ['', *_comment('Most often changed; docs/parameters.md explains all, and `ctsid '
                             'params` prints it.', 4)]
-    plain = {key: declared for key, declared in SETTINGS_KEYS.items() if key != 'delay'}
+    plain = {key: declared for key, declared in SETTINGS_KEYS.items() if key not in OF_INPUTS}
     first = {key: plain[key] for key in _FIRST}
     lines += _brief_groups(first, config.settings, shown=True)
     lines += ['', *_comment('The rest, at its defaults; remove the # to change a value.', 4)]
@@ -102,7 +102,7 @@ def _grouped(keys: Mapping[str, Field[Any]], owner: object) -> list[str]:
     for name, declared in keys.items():
         group, _, key = name.rpartition('.')
         lines = groups.setdefault(group, ['', f'    {group}:'])
-        if name != 'delay':  # it is with the channels
+        if name not in OF_INPUTS:  # they are with the channels
             lines += [] if group else ['']
             lines += _entry(key, declared, owner, 6 if group else 4)
     return [line for lines in groups.values() for line in lines]

@@ -17,9 +17,9 @@ def mat_bytes(content: Content) -> bytes:
     """
     Return the contents of the file, level 5.
 
-    Variables: A, B, C, D, K, delay, x_trim, y_trim, noise, poles, pole_std, names and units of
-    inputs and outputs (cells), covariance (of the entries of A, B, C, D, row by row, and the dead
-    times), fit, verdict, reason, equations. What is not known is empty.
+    Variables: A, B, C, D, K, delay, timeout, x_trim, y_trim, noise, poles, pole_std, names and
+    units of inputs and outputs (cells), covariance (of the entries of A, B, C, D, row by row, and
+    the dead times), fit, verdict, reason, equations. What is not known is empty.
     """
     from scipy.io import savemat
 
@@ -28,7 +28,8 @@ def mat_bytes(content: Content) -> bytes:
     variables: dict[str, Any] = {
         **{name: getattr(model, name) for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim',
                                                    'poles')},
-        'delay': np.array(model.delay), 'covariance': root.T @ root,
+        'delay': np.array(model.delay), 'timeout': np.array(model.timeout),
+        'covariance': root.T @ root,
         'noise': np.empty((0, 0)) if model.noise is None else model.noise,
         'pole_std': estimate.pole_std, 'fit': estimate.fit,
         'input_names': _cell(named(model.input_names, 'u')),

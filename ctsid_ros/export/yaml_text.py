@@ -17,8 +17,11 @@ def yaml_document(content: Content) -> str:
     document: dict[str, Any] = {
         'origin': content.origin, 'verdict': content.grade, 'reason': estimate.verdict.reason,
         'equations': EQUATIONS,
-        'inputs': [{'name': name, 'unit': unit, 'delay': delay} for name, unit, delay in zip(
-            named(model.input_names, 'u'), model.input_units, model.delay, strict=True)],
+        'inputs': [{'name': name, 'unit': unit, 'delay': delay,
+                    **({'timeout': timeout} if timeout else {})}
+                   for name, unit, delay, timeout in zip(
+                       named(model.input_names, 'u'), model.input_units, model.delay,
+                       model.timeout, strict=True)],
         'outputs': [{'name': name, 'unit': unit} for name, unit in zip(
             named(model.output_names, 'y'), model.output_units, strict=True)],
         **{name: getattr(model, name).tolist()

@@ -23,6 +23,7 @@ from ctsid_core.errors import SettingsError
 from ctsid_core.settings import Settings, build_declared, value_faults
 from ctsid_ros.config.channels import (
     CHANNEL_KEYS,
+    OF_INPUTS,
     RESERVED,
     ROLE_LISTS,
     SETTINGS_KEYS,
@@ -52,8 +53,9 @@ def declare(node: Node) -> None:
     """
     for name in (*ROLE_LISTS, *OWN_KEYS):
         _declare_anew(node, name, OWN_KEYS.get(name))
-    if _value(node, 'delay') == 'auto':  # it stands for those of the channels, if it is given
-        node.undeclare_parameter('delay')
+    for key in OF_INPUTS:  # it stands for those of the channels, if it is given
+        if _value(node, key) == 'auto':
+            node.undeclare_parameter(key)
     _declare_channels(node)
 
 
@@ -101,11 +103,11 @@ def watch(node: Node, locked: Callable[[], bool], apply: Callable[[Config], None
 
 def _keys(node: Node) -> dict[str, Field[Any]]:
     """Return the declarations that count now, under their full names; without the lists."""
-    shared = node.has_parameter('delay')
-    keys = {name: d for name, d in OWN_KEYS.items() if name != 'delay' or shared}
+    shared = {key for key in OF_INPUTS if node.has_parameter(key)}
+    keys = {name: d for name, d in OWN_KEYS.items() if name not in OF_INPUTS or name in shared}
     for channel, role in _listed(node).items():
         for key, declared in CHANNEL_KEYS.items():
-            if key != 'delay' or (role == 'input' and not shared):
+            if key not in OF_INPUTS or (role == 'input' and key not in shared):
                 keys[f'{channel}.{key}'] = declared
     return keys
 

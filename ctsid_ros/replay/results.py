@@ -152,7 +152,7 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
                            'them with --params')
     try:
         return Config(tuple(Channel(**channel) for channel in listed),
-                      settings.replace(delay='auto'))
+                      settings.replace(delay='auto', timeout='auto'))
     except (TypeError, SettingsError) as error:
         raise StorageError(f'{path}: `metadata.channels` is not usable ({error}); give --params'
                            ) from error

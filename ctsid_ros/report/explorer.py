@@ -187,6 +187,8 @@ def facts(estimate: Estimate, fits: Mapping[str, str]) -> Mapping[str, str]:
     if any(model.delay):
         found['dead time [s]'] = '; '.join(
             plus_minus(d, s, 3) for d, s in zip(model.delay, std, strict=True))
+    if any(model.timeout):
+        found['timeout [s]'] = '; '.join(number(t, 3) for t in model.timeout)
     if known := gains(model, estimate.covariance):
         found['gain' if known.rate.any() else 'DC gain'] = '; '.join(
             gain_text(float(g), float(s), bool(rate)) for g, s, rate in zip(

@@ -13,6 +13,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, predictions
 from ctsid_core.model.whiteness import LAGS, cell
 from ctsid_core.signals.record import Record
+from ctsid_core.signals.timeouts import acting
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 
@@ -65,7 +66,8 @@ def _inputs(model: StateSpace, record: Record, times: Array, e: Array) -> list[A
     cells = np.rint((times - times[0]) / step).astype(int)
     count = int(cells[-1]) + 1
     binned = np.bincount(cells, e - e.mean(), count)
-    u = input_polynomials(record.inputs, model.delay, times[0] + step * np.arange(count))[0]
+    u = input_polynomials(acting(record.inputs, model.timeout), model.delay,
+                          times[0] + step * np.arange(count))[0]
     lags = min(_CELLS, count // 4)
     axes = []
     for row in (u - u.mean(axis=0)).T:

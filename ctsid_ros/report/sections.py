@@ -148,6 +148,8 @@ def model_section(estimate: Estimate, title: str, *, verdict: bool = True) -> Se
             'direct feedthrough'
     if any(model.delay):
         words += f', dead time {_dead_times(estimate, model)} s'
+    if any(model.timeout):
+        words += f', timeout {", ".join(number(t, 3) for t in model.timeout)} s'
     return Section(title, (*parts, f'{words}. {GLOSSARY}', mode_table(modes_of(estimate)),
                            *verdict_tables(estimate, model), fit_table(estimate, model)))
 

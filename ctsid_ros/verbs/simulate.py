@@ -222,6 +222,7 @@ def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: B
 
 def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...]
               ) -> list[Section]:
+    from ctsid_core.signals.timeouts import in_words
     from ctsid_ros.report.sections import channel_section, complaint_section
 
     columns: dict[str, Array] = {
@@ -238,7 +239,8 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
     delays = {name: ', '.join(dict.fromkeys(found)) for name, found in late.items()}
     title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
     return [Section(title, (Table(('output', *columns), rows, ('output',)), _trim(args.trim))),
-            channel_section(outcome.data, delays=delays), complaint_section(notes)]
+            channel_section(outcome.data, delays=delays), complaint_section((
+                *notes, *in_words(outcome.model.input_names, outcome.model.timeout)))]
 
 
 def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
