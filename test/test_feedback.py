@@ -54,6 +54,61 @@ def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, se
     assert 'set point' in found.verdict.reason
 
 
+def rates(seed: int, late: float, outputs: float, gust: float = 20.0,
+          point: float = 0.5) -> tuple[Record, StateSpace]:
+    """
+    Return 40 s of a body rate under a PI controller of 1 kHz, and the plant.
+
+    A stick moves the set point. Commands are recorded at 100 Hz, rates with further noise and late
+    stamps.
+    """
+    draw, rng = np.random.default_rng(seed), np.random.default_rng(1000 + seed)
+    effect, lag, drag, gain, integral = (draw.uniform(*ends) for ends in (
+        (60.0, 120.0), (0.03, 0.06), (1.0, 4.0), (0.04, 0.08), (0.1, 0.3)))
+    n, dt = 40000, 1e-3
+    fades = np.exp(-dt / 0.1)
+    kicks = np.sqrt(1.0 - fades ** 2) * gust * rng.standard_normal(n)
+    stick = np.repeat(rng.uniform(-1.7, 1.7, 134) * (rng.random(134) < 0.7), 300)[:n]
+    noise, x, y, u = 0.003 * rng.standard_normal(n), np.zeros(6), np.empty(n), np.empty(n)
+    for k in range(n):
+        rate, thrust, wind, first, second, total = x
+        first += dt / 0.1 * (stick[k] - first)
+        second += dt / 0.1 * (first - second)
+        y[k] = rate + noise[k]
+        total += (point * second - y[k]) * dt
+        u[k] = np.clip(gain * (point * second - y[k]) + integral * total, -1.0, 1.0)
+        thrust += dt / lag * (u[k] - thrust)
+        wind = fades * wind + kicks[k]
+        x = np.array([rate + dt * (effect * thrust - drag * rate + wind), thrust, wind, first,
+                      second, total])
+    t, each = dt * np.arange(n), round(outputs / dt)
+    seen = y[::each] + 0.03 * rng.standard_normal(n // each)
+    plant = StateSpace([[-drag, effect], [0.0, -1.0 / lag]], [[0.0], [1.0 / lag]], [[1.0, 0.0]])
+    sent, read = t[::10], t[::each] + late
+    if outputs < 0.01:                          # as they arrive
+        sent, read = (np.maximum.accumulate(s + size * rng.exponential(size=len(s)))
+                      + 1e-9 * np.arange(len(s))
+                      for s, size in ((sent + 1e-3, 1e-3), (read, late)))
+    return Record.from_arrays(sent, u[::10], read, seen, input_hold='zoh'), plant
+
+
+@pytest.mark.parametrize(('late', 'outputs', 'gust', 'seed'), [
+    (2e-3, 0.01, 20.0, 1), (2e-3, 0.005, 20.0, 2), *slow(
+        (4e-3, 0.01, 20.0, 0), (2e-3, 0.005, 20.0, 0), (2e-3, 0.005, 8.0, 3),
+        (4e-3, 0.005, 8.0, 1))])
+def test_outputs_that_are_stamped_late_make_no_good_model_of_the_controller(
+        late, outputs, gust, seed):
+    """All of their commands seem to come before what they answer to; they were GOOD."""
+    record, plant = rates(seed, late, outputs, gust)
+    found = identify(record, Settings(feedthrough=False))
+    model = found.model or found.rejected_model
+    omega = np.geomspace(6.0, 15.0, 5)
+    own, true = (one.frequency_response(omega)[:, 0, 0] for one in (model, plant))
+    assert np.median(np.abs(own / true - 1.0)) > 0.5
+    assert found.verdict.grade is not Grade.GOOD
+    assert 'stamps of the sensor' in found.verdict.reason, found.verdict.reason
+
+
 @pytest.mark.parametrize('seed', [0, *slow(1, 2)])
 @pytest.mark.parametrize(('gain', 'integral', 'dither'), [
     (2.0, 0.0, 0.0), (0.45, 1.0, 0.0), *slow((2.0, 0.0, 0.02))])

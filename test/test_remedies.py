@@ -58,7 +58,8 @@ def findings() -> list[tuple[Remedy, str]]:
     jumps = Drift(0, 9.0, inputs=(InputDrift('a', 0.2, 0.0),), moved=9.0, jumps=3)
     acts = replace(WORST, doubt=('input a acts as if it were 0', 'a.timeout: 0.5'),
                    at_once=(0.1, np.inf), drift=jumps)
-    for one in (replace(WORST, unproven=True), late, acts, *(
+    stamps = replace(WORST, doubt=('a mode decays', 'feedthrough: true'), stamp_sensitivity=0.4)
+    for one in (replace(WORST, unproven=True), late, acts, stamps, *(
             replace(WORST, numbers=n, fixed_inputs=()) for n in (line, shared))):
         found += rules._weaknesses(one)
     estimate = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=good)
@@ -79,7 +80,8 @@ def findings() -> list[tuple[Remedy, str]]:
 
 def test_every_rule_is_looked_at():
     said = ' '.join(reason for _, reason in findings())
-    for words in ('Gains change', 'as if it were 0', 'at once how',
+    for words in ('Gains change', 'hinges on the stamps', 'Outputs that are stamped late',
+                  'as if it were 0', 'at once how',
                   'not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
                   'finite', 'zero column', '1 frequency', 'independently',
                   'move it 5.3 times as much', 'explain little', 'is not linear', 'held out',

@@ -14,7 +14,7 @@ from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
-from ctsid_core.judge.feedback import distance_to_controller, holds
+from ctsid_core.judge.feedback import distance_to_controller, holds, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.rounding import beside_rounding, rounding, rounding_notes
 from ctsid_core.judge.rules import (
@@ -104,6 +104,9 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
+    if verdict.grade is Grade.GOOD:
+        evidence = replace(evidence, stamp_sensitivity=stamp_sensitivity(solution, seen[0]))
+        status, verdict = judge(evidence)
     asked = _asked_for_leads(sought, seen[0], STATES)
     if verdict.grade is not Grade.GOOD and any(asked) and not lead.any() and not effort.over:
         lead = _lead_by_search(solution, asked)

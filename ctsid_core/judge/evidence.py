@@ -44,6 +44,7 @@ class Evidence:
     fastest: bool = False           # a pole is about as fast as any that is looked for
     # (nu,), if D is not 0: the distance to a controller that answers at once
     at_once: tuple[float, ...] = ()
+    stamp_sensitivity: float = 0.0  # see `ctsid_core.judge.feedback.stamp_sensitivity`
     drift: Drift = Drift()
     drifting: str = ''              # which of several records drifts
     doubt: Doubt | None = None      # what it looks like if a setting is not right

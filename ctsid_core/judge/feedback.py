@@ -13,6 +13,11 @@ be a mode that grows is that of a filter: what is filtered forward and backward 
 (`filtfilt`, a centred mean) answers before it is asked, and a stable mode that runs backward is,
 forward, one that grows.
 
+Where outputs are stamped late, what a controller computes from one has an earlier stamp than it:
+the input then seems to move first, the plant is minus one over the controller again, and no past
+tells. But such a model hinges on the stamps: a plant's response hardly changes if outputs are an
+interval earlier.
+
 References
 ----------
 Ljung, System Identification, 2nd edition, section 13.4 (closed loop, informative data).
@@ -21,14 +26,19 @@ Ljung, System Identification, 2nd edition, section 13.4 (closed loop, informativ
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
+from ctsid_core.likelihood.output_error import climb_roughly, fit_at
 from ctsid_core.linear.least_squares import least_norm
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Matrices
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
+from ctsid_core.search.by_prediction import plant_of
+from ctsid_core.search.solution import Solution
 from ctsid_core.signals.record import Record, Signal
 
 _PAST = 20            # samples of an input, over which the outputs are looked at
@@ -65,6 +75,47 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
                     row[j] = _distance(answer, signal.period, model, j, excited[j])
                 j += 1
     return np.asarray(found.min(axis=0))
+
+
+def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> float:
+    """
+    Return by how much the response changes if outputs were one interval earlier than they are.
+
+    The longest one of inputs and outputs, within which commands are computed. The median over the excited band of the change over the response. 0 where outputs may follow
+    inputs at once, and of what simulations found: the stamps of those hardly matter.
+    """
+    samples, fit, free = solution.source
+    parts, last = solution.part.parts, solution.part.last
+    step, late = (max(s.period for s in signals) for signals in (
+        parts[last].record.inputs, (*parts[last].record.inputs, *parts[last].record.outputs)))
+    low, high = (f(end) for f, end in ((min, [one.low for one in excited]),
+                                       (max, [one.high for one in excited])))
+    high = min(high, _HIGH * np.pi / step)
+    if solution.plant is None or solution.settings.feedthrough or not 0.0 < low < high \
+            or samples.effort.leaves_out('whether the model hinges on stamps'):
+        return 0.0
+    count = len(parts[last].record.inputs)
+    other = replace(samples, records=tuple(replace(r, inputs=(
+        *(replace(s, time=s.time + late) for s in r.inputs[:count]), *r.inputs[count:]))
+        for r in samples.records))
+    omega = np.geomspace(low, high, _FREQUENCIES)
+    with suppress(np.linalg.LinAlgError):
+        moved = climb_roughly(other, fit_at(other, fit.model.poles, fit.model.delay, free, fit),
+                              free)
+        own, changed = (_response(plant_of(one, samples, last, np.inf), one.model.delay, omega)
+                        for one in (fit, moved))
+        return float(np.median(np.linalg.norm(changed - own, axis=(1, 2))
+                               / np.linalg.norm(own, axis=(1, 2))))
+    return 1.0                                  # no plant is left
+
+
+def _response(m: Matrices | None, delay: Array, omega: Array) -> ComplexArray:
+    """Return the frequency response of a plant, (M, ny, nu); raise if there is none."""
+    if m is None:
+        raise np.linalg.LinAlgError('no plant has this predictor')
+    s, late = 1j * omega[:, np.newaxis, np.newaxis], delay[:m.B.shape[1]]
+    found: ComplexArray = m.C @ np.linalg.solve(s * np.eye(len(m.A)) - m.A, m.B[np.newaxis])
+    return found * np.exp(-s * late)
 
 
 def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:

@@ -24,7 +24,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Excitation, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
-from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN, OTHER_HOLD, TIMEOUT
+from ctsid_core.search.solution import ANY_DELAY, DIRECT, DISTURBED, GIVEN, OTHER_HOLD, TIMEOUT
 from ctsid_core.settings import Settings
 from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.instants import after_start
@@ -41,6 +41,8 @@ _SINES = 2              # that tell four numbers, and must be exceeded; as many 
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _CONTROLLER = 0.35      # of 1: what 1 + C G is of a model that is minus one over the controller C
+_HINGES = 0.3           # of the response, that outputs an interval earlier change: more, and a
+                        # model is of the stamps (0.5 at least; of loops that are right 0.17)
 _DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
 _UNEXPLAINED = 0.8      # error that is not white noise, over the motion: no model at all
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model
@@ -54,6 +56,8 @@ _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setti
 _GUESSED = (Remedy.EXCITE, Remedy.SIGNALS)
 _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
 _BY_LOG = 'in a bag: set `stamp: log` for all channels'
+_LATE = ('outputs that are stamped late look so in a loop, where the model is minus one over the '
+         'controller; take the stamps of the sensor (in a bag: `stamp: header`)')
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 
 
@@ -205,6 +209,10 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'minus one over that, to {100 * e.at_once[j]:.0f} %: it may be a controller that '
             'computes the input from outputs of the same instant; if outputs do not follow inputs '
             'at once, set `feedthrough: false`.')
+    if e.stamp_sensitivity > _HINGES:
+        yield Remedy.RECORD, (
+            'The model hinges on the stamps: were outputs one interval earlier, the response '
+            f'would change by {_percent(e.stamp_sensitivity)}; {_LATE}.')
     if e.unproven:
         yield Remedy.SETTING, (
             f'The model is unstable (a mode grows as exp({np.max(e.poles.real):.2g} t)), and a '
@@ -266,6 +274,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
+    if e.doubt and e.doubt[1] == DIRECT:
+        yield Remedy.SIGNALS, f'{_begun(_LATE)}.'
     if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]
                     or TIMEOUT in e.doubt[1]):
         yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'

@@ -13,7 +13,7 @@ from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import search_orders
-from ctsid_core.search.solution import GROWS, NO_DIRECT, Doubt
+from ctsid_core.search.solution import DIRECT, GROWS, NO_DIRECT, Doubt
 from ctsid_core.search.subspace_poles import Subspace
 from ctsid_core.search.task import Task
 from ctsid_core.search.tried import SEARCH, Tried, beats, choose, climbed, fitted, tried
@@ -109,5 +109,5 @@ def doubt_of_direct(poles: Array | ComplexArray, samples: Samples, free: Free, f
     # One that goes on is no D.
     if not feedthrough and np.max(-poles.real, initial=0.0) > _AT_ONCE * free.fastest:
         return ('a mode decays nearly as fast as any that is looked for, as when outputs follow '
-                'inputs at once, and no controller acts', 'feedthrough: true')
+                'inputs at once, and no controller acts', DIRECT)
     return None

@@ -28,6 +28,7 @@ Doubt = tuple[str, str]
 # these, and of D beside a mode that grows: what they leave is explained by curves, or by signals
 # that are missing, too
 ANY_ORDER, ANY_DELAY, NO_DIRECT = GIVEN = ('order: 0', 'delay: auto', 'feedthrough: false')
+DIRECT = 'feedthrough: true'
 OTHER_HOLD = '.hold: '  # after the name of an input, before what it should be
 TIMEOUT = '.timeout: '  # the same
 
