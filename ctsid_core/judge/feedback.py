@@ -81,8 +81,9 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
     """
     Return by how much the response changes if outputs were one interval earlier than they are.
 
-    The longest one of inputs and outputs, within which commands are computed. The median over the excited band of the change over the response. 0 where outputs may follow
-    inputs at once, and of what simulations found: the stamps of those hardly matter.
+    The longest one of inputs and outputs, within which commands are computed. The median over the
+    excited band of the change over the response; 0 where outputs may follow inputs at once, and of
+    what simulations found, which stamps hardly change.
     """
     samples, fit, free = solution.source
     parts, last = solution.part.parts, solution.part.last
