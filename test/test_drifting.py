@@ -17,6 +17,7 @@ import pytest
 from test_change import drifting
 
 from ctsid_core import Grade, Record, Settings, Status, identify
+from ctsid_core.judge.drift import InputDrift, _of_input
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
@@ -154,6 +155,14 @@ def test_an_offset_that_drifts_with_a_gain_is_no_doubt(gain, offset, mean):
     assert found.model.dc_gain[0, 0] == pytest.approx(2.0, abs=0.03)
     assert told(found)[0] == pytest.approx(100.0 * gain, abs=4.0)
     assert any('and an offset' in note for note in found.notes)
+
+
+def test_no_gain_is_told_to_change_its_sign():
+    """Of a climb rate with a lasting load the note said +3146 %, and -100 s of dead time."""
+    found = _of_input('u', np.array([-0.01]), np.array([1.0 + 0j]), np.array([31.0 + 0j]))
+    assert found == InputDrift('u', 0.0, 0.0)
+    found = _of_input('u', np.array([-0.01]), np.array([1.0 + 0j]), np.array([0.5 + 0j]))
+    assert found == InputDrift('u', 0.5, 0.0)
 
 
 @pytest.mark.parametrize(('poles', 'moved'), [((-2.0, -5.0), 1), ((-3.0, -3.0), 2)])

@@ -100,6 +100,8 @@ def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArr
         told[list(both)] = np.linalg.lstsq(columns[:, list(both)], target, rcond=None)[0]
         if np.linalg.norm(columns @ told - target) < _PART * np.linalg.norm(target):
             break
+    if np.abs(told[0]) > 2.0:                       # it would change its sign: nothing is told
+        told = np.zeros(2)
     return InputDrift(name, float(told[0]), float(told[1]))
 
 
