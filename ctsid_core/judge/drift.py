@@ -82,7 +82,8 @@ def drift_of_inputs(names: Sequence[str], mean: Fit, drifting: Fitted) -> Drift:
     def cost(power: Array) -> float:
         missed = samples.mean(power) - samples.mean(fit.power)
         return 100.0 * float(np.sqrt(max(float(np.max(missed)), 0.0)))
-    return Drift(-1, cost(mean.power), not any(one.gain for one in found), found,
+    late = any(one.late for one in found) and not any(one.gain for one in found)
+    return Drift(-1, cost(mean.power), late, found,
                  cost(standing(*drifting).power))
 
 
