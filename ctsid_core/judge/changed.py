@@ -56,7 +56,8 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _ASKED = 'whether the plant changed within the window'
-LEFT = 0.3            # power of errors, noise apart, that two models may leave of those of one
+_LEFT = 0.2           # power of errors, noise apart, that two models may leave of those of one:
+                      # of gusts that end they leave as much in 1 of 30
 NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 
@@ -116,12 +117,12 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     if found.gain <= 0.0 or not _best(one, whole, found):
         return Change()
     size = _divided(samples, plant, plant, place, found.share, certain=True)
-    return size if size.left < LEFT else Change(place, found.share, gain=found.gain)
+    return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:
     """Return a division if it leaves hardly more than noise, and explains most; else none."""
-    explained = found.cost > 0.0 and found.left < LEFT and _best(samples, own, found)
+    explained = found.cost > 0.0 and found.left < _LEFT and _best(samples, own, found)
     return found if explained else Change()
 
 
@@ -132,7 +133,7 @@ def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     found = max((_divided(samples, own, whole, place, share)
                  for share in _likely(only(samples, place), own, whole)),
                 key=_clean, default=Change())
-    for step in _CLOSER if found.gain > 0.0 and found.left < _FURTHER * LEFT else ():
+    for step in _CLOSER if found.gain > 0.0 and found.left < _FURTHER * _LEFT else ():
         found = max(found, *(_divided(samples, own, whole, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
@@ -160,7 +161,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     errors = np.split(slopes.error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
     noise = white_part(in_records(errors, samples)) ** 2
     most = each * min(float(np.sum(samples.mean(rival.power / slopes.fit.power))),
-                      samples.ny - (1.0 - LEFT) * float(np.max(1.0 - noise)))
+                      samples.ny - (1.0 - _LEFT) * float(np.max(1.0 - noise)))
     # As many samples count of each output as there are of the one that has fewest.
     weight = np.repeat(np.tile(np.sqrt(each / counts), len(samples.records)),
                        slopes.counts.astype(int))

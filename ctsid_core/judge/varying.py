@@ -21,7 +21,7 @@ from itertools import islice
 
 import numpy as np
 
-from ctsid_core.judge.changed import LEFT, NOTED
+from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.curve import curves_of
 from ctsid_core.judge.drift import Drift, InputDrift, over_all
 from ctsid_core.judge.slopes import SEARCHED, Own, Slopes, in_records, only, recordings, slopes_of
@@ -32,6 +32,7 @@ from ctsid_core.linear.types import Array
 
 _INSTANTS = 48        # parts of a record, between which a gain may jump, ...
 _MOST = 20            # ... so many times
+_LEFT = 0.3           # power of errors, noise apart, that jumps may leave of what others do
 _NOTHING = 1e-4       # of a column: less is left of it by rounding
 _ASKED = 'whether gains vary'
 
@@ -77,14 +78,14 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
             gain = float(n_eff @ np.log(before / mean_square(errors))) - price * len(jumps)
             coloured = coloured_power(errors)
             i = int(np.argmax(noisy - coloured))
-            if gain > worth and coloured[i] < LEFT * noisy[i]:
+            if gain > worth and coloured[i] < _LEFT * noisy[i]:
                 worth, spread = gain, _spread(slopes, moved, np.sort(jumps) + 1)
                 found = Drift(place, 100.0 * float(np.sqrt((noisy - coloured)[i])), inputs=tuple(
                     InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps))
                 best = coloured
     # Gusts are jumps of a load, which those of a gain imitate.
     imitated = found.cost > NOTED and any(
-        not np.any(best < LEFT * coloured_power(_errors(slopes, left)))
+        not np.any(best < _LEFT * coloured_power(_errors(slopes, left)))
         for load in _moved(slopes, None).T
         for _, left in islice(_jumps(slopes, load[:, 1:]), found.jumps - 1, found.jumps))
     return found if found.cost > NOTED and not imitated else Drift()
