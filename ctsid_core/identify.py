@@ -149,5 +149,5 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
                                  spent=effort.beyond(SEARCH))
-    sought = own_delays(part, settings).unknown_delays(len(part.parts[0].u))
+    sought = own_delays(solution.part, settings).unknown_delays(len(solution.part.parts[0].u))
     return conclude(solution, sought if refined else ())

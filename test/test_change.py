@@ -32,7 +32,7 @@ from ctsid_core.judge.changed import _divided
 from ctsid_core.likelihood.output_error import climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.verdict import Remedy
-from ctsid_core.search.task import free_of
+from ctsid_core.search.solve import free_of
 from ctsid_core.signals.record import Signal
 from ctsid_ros.studies.robots.families import experiment
 

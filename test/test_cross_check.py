@@ -97,6 +97,15 @@ def test_the_difference_is_that_of_the_responses(factor):
         assert found.input == 'u'
 
 
+def test_models_with_other_timeouts_do_not_agree():
+    first, second, like = (replace(one, model=replace(one.model, timeout=(timeout,))) for one in [
+        first_order(3.0, 0.03)] for timeout in (0.0, 0.5, 0.48))
+    found = agreement(first, second, 'gobf')
+    assert found.contradicts
+    assert 'counts as 0 from 0.5 s after a message on' in str(found)
+    assert agreement(second, like, 'gobf').agrees
+
+
 def test_the_input_whose_response_differs_is_named():
     def two(gain: float) -> Estimate:
         model = StateSpace(A=[[-2.0]], B=[[1.0, gain]], C=[[1.0], [1e3]], D=np.zeros((2, 2)),

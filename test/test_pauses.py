@@ -243,6 +243,27 @@ def test_channels_of_one_message_share_a_timeout():
     assert found.good
 
 
+def test_a_channel_that_is_constant_while_it_is_sent_moves_by_its_timeout():
+    one = commanded(5, 0.5)
+    values = np.hstack((one.inputs[0].values, np.full((len(one.inputs[0].time), 1), 0.3)))
+    found = identify(replace(one, inputs=(replace(one.inputs[0], values=values,
+                                                  names=('v', 'w')),)))
+    assert found.model.timeout == pytest.approx((0.5, 0.5), rel=0.05)
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_timeout_is_kept_where_commands_are_lost_too():
+    one = commanded(5, 0.5)
+    t, values = one.inputs[0].time, one.inputs[0].values
+    kept = ~np.any([(a < t) & (t < a + 3.0) for a in (10.0, 25.0, 45.0)], axis=0)
+    found = identify(replace(one, inputs=(replace(one.inputs[0], time=t[kept],
+                                                  values=values[kept]),)))
+    assert found.model.timeout == pytest.approx((0.5,), rel=0.05)
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.03)
+    assert any(c.name == 'timeout' for c in found.choices)
+    assert any('counts as 0' in note for note in found.notes)
+
+
 def test_a_window_knows_of_silence_that_begins_before_it():
     given = commanded(6, 0.5)
     begins = given.inputs[0].time[np.argmax(np.diff(given.inputs[0].time) > 2.0)] + 0.3

@@ -58,7 +58,8 @@ def findings() -> list[tuple[Remedy, str]]:
     jumps = Drift(0, 9.0, inputs=(InputDrift('a', 0.2, 0.0),), moved=9.0, jumps=3)
     acts = replace(WORST, doubt=('input a acts as if it were 0', 'a.timeout: 0.5'),
                    at_once=(0.1, np.inf), drift=jumps)
-    stamps = replace(WORST, doubt=('a mode decays', 'feedthrough: true'), stamp_sensitivity=0.4)
+    stamps = replace(WORST, doubt=('a mode decays', 'feedthrough: true'), stamp_sensitivity=0.4,
+                     moving=True)
     for one in (replace(WORST, unproven=True), late, acts, stamps, *(
             replace(WORST, numbers=n, fixed_inputs=()) for n in (line, shared))):
         found += rules._weaknesses(one)

@@ -722,7 +722,8 @@ def test_what_points_to_a_controller_is_the_first_reason(seed, what):
 def test_a_slow_pair_is_two_states_however_its_poles_are_given(slow_poles, doubted):
     samples = samples_of([excited(29)[1]], [[None]])
     free = Free(True, True, (True,), 1.0, -1e-6, 100.0)
-    found = doubt_of_direct(np.array([*slow_poles, -5.0], dtype=complex), samples, free, True)
+    found = doubt_of_direct(np.array([*slow_poles, -5.0], dtype=complex), np.zeros(1), samples,
+                            free, True)
     assert (found is not None) is doubted
 
 

@@ -14,7 +14,7 @@ from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
-from ctsid_core.judge.feedback import distance_to_controller, holds, stamp_sensitivity
+from ctsid_core.judge.feedback import distance_to_controller, holds, never_rest, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.rounding import beside_rounding, rounding, rounding_notes
 from ctsid_core.judge.rules import (
@@ -286,7 +286,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         at_once=tuple(np.ravel(at_once).tolist()),
-        within=_within(solution), drift=drift,
+        moving=never_rest([p.record for p in part.parts]), within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))

@@ -24,6 +24,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Agreement
+from ctsid_core.search.lost_inputs import APART
 from ctsid_core.settings import UNCHECKED, Settings
 from ctsid_core.subspace.methods import METHODS
 
@@ -75,7 +76,7 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     if one is None or other is None:
         return Agreement(method, False, True,
                          problem=problem or 'there is no model to compare.')
-    problem = problem or _divergence(first, one, other)
+    problem = problem or _other_timeouts(one, other) or _divergence(first, one, other)
     bands = _bands(first)
     if not bands:
         return Agreement(method, False, bool(problem),
@@ -108,6 +109,14 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
 def _finding(reason: str) -> str:
     """Return what was found, without what to try next: that is for who asked for this method."""
     return (reason.rpartition('; ')[0] or reason).removesuffix('.')
+
+
+def _other_timeouts(one: StateSpace, other: StateSpace) -> str:
+    """Return which input counts as 0 from another time after its messages on, if one does."""
+    return next((f'input {name} counts as 0 from {b:.3g} s after a message on, and from {a:.3g} s '
+                 'with the first (0: it never does).' for name, a, b in zip(
+                     one.input_names or 'u' * one.nu, one.timeout, other.timeout, strict=True)
+                 if abs(a - b) > APART * max(a, b)), '')
 
 
 def _divergence(first: Estimate, one: StateSpace, other: StateSpace) -> str:

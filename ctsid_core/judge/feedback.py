@@ -81,23 +81,21 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
     """
     Return by how much the response changes if outputs were one interval earlier than they are.
 
-    The longest one of inputs and outputs, within which commands are computed. The median over the
-    excited band of the change over the response; 0 where outputs may follow inputs at once, and of
-    what simulations found, which stamps hardly change.
+    One of the inputs, within which commands are computed. The median over the excited band of the
+    change over the response; 0 where outputs may follow inputs at once, and of what simulations
+    found, which stamps hardly change.
     """
     samples, fit, free = solution.source
     parts, last = solution.part.parts, solution.part.last
-    step, late = (max(s.period for s in signals) for signals in (
-        parts[last].record.inputs, (*parts[last].record.inputs, *parts[last].record.outputs)))
-    low, high = (f(end) for f, end in ((min, [one.low for one in excited]),
-                                       (max, [one.high for one in excited])))
-    high = min(high, _HIGH * np.pi / step)
+    step = max(s.period for s in parts[last].record.inputs)
+    low = min(one.low for one in excited)
+    high = min(max(one.high for one in excited), _HIGH * np.pi / step)
     if solution.plant is None or solution.settings.feedthrough or not 0.0 < low < high \
             or samples.effort.leaves_out('whether the model hinges on stamps'):
         return 0.0
     count = len(parts[last].record.inputs)
     other = replace(samples, records=tuple(replace(r, inputs=(
-        *(replace(s, time=s.time + late) for s in r.inputs[:count]), *r.inputs[count:]))
+        *(replace(s, time=s.time + step) for s in r.inputs[:count]), *r.inputs[count:]))
         for r in samples.records))
     omega = np.geomspace(low, high, _FREQUENCIES)
     with suppress(np.linalg.LinAlgError):
@@ -107,7 +105,7 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
                         for one in (fit, moved))
         return float(np.median(np.linalg.norm(changed - own, axis=(1, 2))
                                / np.linalg.norm(own, axis=(1, 2))))
-    return 1.0                                  # no plant is left
+    return 0.0                                  # nothing is known of it
 
 
 def _response(m: Matrices | None, delay: Array, omega: Array) -> ComplexArray:
@@ -117,6 +115,12 @@ def _response(m: Matrices | None, delay: Array, omega: Array) -> ComplexArray:
     s, late = 1j * omega[:, np.newaxis, np.newaxis], delay[:m.B.shape[1]]
     found: ComplexArray = m.C @ np.linalg.solve(s * np.eye(len(m.A)) - m.A, m.B[np.newaxis])
     return found * np.exp(-s * late)
+
+
+def never_rest(records: Sequence[Record]) -> bool:
+    """Return whether an input moves all the time, as what a controller sends does."""
+    return any(rest <= _MOVING * signal.period for record in records for signal in record.inputs
+               for rest in _rests(signal, record))
 
 
 def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:

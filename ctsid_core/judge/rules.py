@@ -42,7 +42,7 @@ _SINES = 2              # that tell four numbers, and must be exceeded; as many 
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _CONTROLLER = 0.35      # of 1: what 1 + C G is of a model that is minus one over the controller C
 _HINGES = 0.3           # of the response, that outputs an interval earlier change: more, and a
-                        # model is of the stamps (0.5 at least; of loops that are right 0.17)
+                        # model is of the stamps (0.35 at least; of loops that are right 0.17)
 _DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
 _UNEXPLAINED = 0.8      # error that is not white noise, over the motion: no model at all
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model
@@ -274,7 +274,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
-    if e.doubt and e.doubt[1] == DIRECT:
+    if e.moving and e.doubt and e.doubt[1] == DIRECT:
         yield Remedy.SIGNALS, f'{_begun(_LATE)}.'
     if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]
                     or TIMEOUT in e.doubt[1]):

@@ -91,13 +91,14 @@ def _late_or_not(model: ModalModel, free: Free) -> list[ModalModel]:
     return [model, replace(model, delay=np.where(late, 0.0, model.delay))][:1 + bool(late.any())]
 
 
-def doubt_of_direct(poles: Array | ComplexArray, samples: Samples, free: Free, feedthrough: bool,
-                    grows: bool = False) -> Doubt | None:
+def doubt_of_direct(poles: Array | ComplexArray, delay: Array, samples: Samples, free: Free,
+                    feedthrough: bool, grows: bool = False) -> Doubt | None:
     """
     Return what a model looks like if the setting of D is not right, and that setting.
 
     With D: three states (a pair is two) decay by less than e within a record, or grow, or
-    predictions find a mode that grows. Without D: a mode decays nearly as fast as any sought.
+    predictions find a mode that grows. Without D: a mode decays nearly as fast as any sought, and
+    some `delay` is 0.
     """
     poles = poles[poles.imag >= 0.0]
     near = poles.real * samples.length >= -GROWS
@@ -107,7 +108,8 @@ def doubt_of_direct(poles: Array | ComplexArray, samples: Samples, free: Free, f
             if grows else 'modes hardly move within the record'
         return (f'{what}, as when a controller keeps an unstable plant in place', NO_DIRECT)
     # One that goes on is no D.
-    if not feedthrough and np.max(-poles.real, initial=0.0) > _AT_ONCE * free.fastest:
+    if not feedthrough and np.min(delay) <= 0.0 and np.max(
+            -poles.real, initial=0.0) > _AT_ONCE * free.fastest:
         return ('a mode decays nearly as fast as any that is looked for, as when outputs follow '
                 'inputs at once, and no controller acts', DIRECT)
     return None

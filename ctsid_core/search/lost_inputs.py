@@ -16,10 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ctsid_core.likelihood.output_error import Fitted, fit_at
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.held import times_out
-from ctsid_core.search.solution import TIMEOUT, Doubt, Solution
+from ctsid_core.search.solution import DISTURBED, TIMEOUT, Doubt, Solution
+from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import beats, tried
 from ctsid_core.settings import Settings
 from ctsid_core.signals.gaps import FEWEST, silences
@@ -29,7 +31,7 @@ from ctsid_core.signals.timeouts import in_words
 _MORE = 1.5           # times the error elsewhere: what was sent last did not go on
 _ROUNDS = 6           # as often timeouts are looked for, unless they stay as they are ...
 _ALIKE = 0.005        # ... to this part of them
-_APART = 0.1          # of a timeout: nearer to what is given is no doubt
+APART = 0.1          # of a timeout: nearer to what is given is no doubt
 
 
 def lost_inputs(solution: Solution) -> bool:
@@ -60,12 +62,22 @@ def of_silent_inputs(solution: Solution, settings: Settings,
     that no model confirms, is a doubt.
     """
     timed, stops = _with_timeouts(solution, settings, again)
-    known = timed.settings.timeouts(timed.part.parts[0].whole.nu)
-    found = again(settings, True) or solution if lost_inputs(timed) else timed
+    whole, lost = solution.part.parts[0].whole, lost_inputs(timed)
+    known, unknown = timed.settings.timeouts(whole.nu), settings.unknown_timeouts(whole.nu)
+    divided = [again(each, True) for each in dict.fromkeys((
+        settings, settings.replace(timeout=known))) if lost]
+    found = min((one for one in divided if one and one.simulated), key=_unexplained, default=timed)
+    known = found.settings.timeouts(whole.nu)
     doubts = (_doubt(name, seconds) for channels, name, seconds in stops
-              if found is timed or timed is solution
-              if abs(seconds - known[channels.start]) > _APART * seconds)
-    return replace(found, doubt=next(doubts, found.doubt))
+              if not lost or timed is solution
+              if abs(seconds - known[channels.start]) > APART * seconds)
+    choices = (Choice('timeout', round(known[k.start], 4), f'of input {", ".join(names)}: so long '
+                      'after a message it counts as 0, which explains more')
+               for k in channel_slices(whole.inputs) for names in [whole.input_names[k]]
+               if unknown[k.start] and known[k.start])
+    return replace(
+        found, doubt=next(doubts, found.doubt), choices=(*found.choices, *choices),
+        notes=(*found.notes, *in_words(whole.input_names, np.where(unknown, known, 0.0).tolist())))
 
 
 def _with_timeouts(solution: Solution, settings: Settings,
@@ -79,10 +91,10 @@ def _with_timeouts(solution: Solution, settings: Settings,
     whole, best, stops, most = solution.part.parts[0].whole, solution, list[_Stop](), 1
     nu, unknown = whole.nu, settings.unknown_timeouts(whole.nu)
     for _ in range(_ROUNDS):
-        seen, each = _stops(solution, best, most), list(settings.timeouts(nu))
-        found = [one for one in seen if unknown[one.channels.start]]
-        for channels, _, seconds in found:
-            each[channels] = [seconds] * len(each[channels])
+        seen, each = _stops(solution, best, settings, most), list(settings.timeouts(nu))
+        for channels, _, seconds in seen:
+            if unknown[channels.start]:
+                each[channels] = [seconds] * len(each[channels])
         if best is solution:
             stops = seen
         if np.allclose(each, best.settings.timeouts(nu), rtol=_ALIKE, atol=0.0):
@@ -90,14 +102,12 @@ def _with_timeouts(solution: Solution, settings: Settings,
                 break
             most += 1
             continue
-        other = again(settings.replace(timeout=tuple(each)), False)
+        other = again(settings.replace(timeout=tuple(each)), False) if seen else None
         if other is None or not _explains_more(other, best):
             break
-        stops, best = seen, replace(
-            other, notes=(*other.notes, *in_words(whole.input_names, each)), choices=(
-                *other.choices, *(Choice('timeout', round(seconds, 4), f'of input {name}: so long '
-                                         'after a message it counts as 0, which explains more')
-                                  for _, name, seconds in found)))
+        stops, best = seen, other
+        if best.part.parts[0].u != solution.part.parts[0].u:    # one that acts as it is silent
+            break
     return best, stops
 
 
@@ -109,14 +119,14 @@ class _Stop(NamedTuple):
     seconds: float      # after a message
 
 
-def _stops(solution: Solution, model: Solution, most: int) -> list[_Stop]:
+def _stops(solution: Solution, model: Solution, settings: Settings, most: int) -> list[_Stop]:
     """Return what seems to stop inputs, given the records as they are and a model of them."""
-    if solution.simulated is None or solution.refit or model.simulated is None:
+    if solution.refit:
         return []
-    parts = solution.part.parts
+    parts, (samples, fit, free) = solution.part.parts, _simulation(solution, settings)
+    _, fit, free = model.simulated or (samples, fit, free)
     own, whole = channel_slices(parts[0].record.inputs), parts[0].whole
-    found = times_out(solution.simulated[0], *model.simulated[1:], [p.u_level for p in parts],
-                      most)
+    found = times_out(samples, fit, free, [p.u_level for p in parts], most)
     return [_Stop(channels, ', '.join(whole.input_names[channels]), seconds)
             for place, seconds in found.items() for channels in channel_slices(whole.inputs)
             if parts[0].u[own[place].start] in range(channels.start, channels.stop)]
@@ -128,6 +138,21 @@ def _doubt(name: str, seconds: float) -> Doubt:
             f'{name.partition(",")[0].partition("[")[0]}{TIMEOUT}{seconds:.2g}')
 
 
+def _simulation(solution: Solution, settings: Settings) -> Fitted:
+    """Return what simulates; of a plant that only predicts, which a timeout may feign, a lag."""
+    if solution.simulated is not None:
+        return solution.simulated
+    samples = samples_of_part(solution.part, solution.samples.effort)
+    free = replace(free_of(samples, own_delays(solution.part, settings)), feedthrough=False)
+    return samples, fit_at(samples, np.array([-free.fastest ** 0.5 + 0j]), solution.delay,
+                           free, slopes=False), free
+
+
+def _unexplained(one: Solution) -> float:
+    return np.inf if one.simulated is None else tried(*one.simulated).unexplained
+
+
 def _explains_more(one: Solution, other: Solution) -> bool:
-    return one.simulated is not None and other.simulated is not None and beats(
-        tried(*one.simulated), tried(*other.simulated))
+    if one.simulated is None or other.simulated is None:
+        return _unexplained(one) < DISTURBED
+    return beats(tried(*one.simulated), tried(*other.simulated))

@@ -110,7 +110,8 @@ def likelier(task: Task, samples: Samples, best: Tried, free: Free, found: Predi
         (Choice('domain', 'predictions', 'inputs and past outputs together predict these data '
                 'better than the best simulation from the inputs alone'),),
         left_out(task, found.orders, len(found.matrices.A)),
-        doubt=doubt_of_direct(np.linalg.eigvals(found.matrices.A), samples, free,
+        doubt=doubt_of_direct(np.linalg.eigvals(found.matrices.A),
+                              found.found.fit.model.delay[:samples.nu], samples, free,
                               task.settings.feedthrough),
         plant=found.matrices, errors_ahead=found.errors,
         rivals=_other_plants(task, samples, found,
@@ -228,7 +229,8 @@ def _as_it_simulates(task: Task, samples: Samples, found: PredictionFit, plant: 
         (*left_out(task, found.orders, fit.model.n), *at_bound(one.fit, plant.free)),
         plant=plant.matrices,
         rivals=_other_plants(task, samples, found, plant.free.limit),
-        doubt=doubt_of_direct(fit.model.poles, samples, plant.free, task.settings.feedthrough),
+        doubt=doubt_of_direct(fit.model.poles, fit.model.delay, samples, plant.free,
+                              task.settings.feedthrough),
         predictor=(found.samples, found.found.fit, found.free))
 
 

@@ -228,7 +228,8 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
         used(task, n, best.fit.model.delay), task.part, samples, best.fit, free, best.independent,
         table_of(found, best, task.settings), _choices(task, one, best, free),
         (*one.notes, *at_bound(best.fit, free)),
-        doubt=doubt or doubt_of_direct(poles, samples, free, task.settings.feedthrough, grows),
+        doubt=doubt or doubt_of_direct(poles, best.fit.model.delay, samples, free,
+                                       task.settings.feedthrough, grows),
         smaller=smaller, drifting=drifting,
         rivals=shares_of([(gain, other.fit.model) for gain, other in one.others]),
         singular_values=values, condition=condition)
