@@ -21,6 +21,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.likelihood.residuals import motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
+from ctsid_core.model.verdict import Remedy
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.signals.gaps import between_pauses, silent_at_end
 from ctsid_core.signals.timeouts import acting
@@ -250,6 +251,17 @@ def test_a_channel_that_is_constant_while_it_is_sent_moves_by_its_timeout():
                                                   names=('v', 'w')),)))
     assert found.model.timeout == pytest.approx((0.5, 0.5), rel=0.05)
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_keys_of_one_speed_move_by_their_timeout_alone():
+    one = commanded(5, 0.5)
+    sent = replace(one.inputs[0], values=np.ones_like(one.inputs[0].values))
+    found = identify(replace(one, inputs=(sent,)))
+    assert found.verdict.reason.endswith('a timeout stops the robot while v is silent, set '
+                                         '`v.timeout`.')
+    assert found.verdict.remedy is Remedy.SETTING
+    still = replace(sent, values=np.zeros_like(sent.values))
+    assert 'timeout' not in identify(replace(one, inputs=(still,))).verdict.reason
 
 
 def test_a_timeout_is_kept_where_commands_are_lost_too():

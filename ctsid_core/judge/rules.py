@@ -26,9 +26,9 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Excitation, Grade, Rem
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.search.solution import ANY_DELAY, DIRECT, DISTURBED, GIVEN, OTHER_HOLD, TIMEOUT
 from ctsid_core.settings import Settings
-from ctsid_core.signals.gaps import FEWEST
+from ctsid_core.signals.gaps import FEWEST, silent_between
 from ctsid_core.signals.instants import after_start
-from ctsid_core.signals.record import Record
+from ctsid_core.signals.record import Record, channel_slices
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 NONE = 0.5              # the same, from which on it may be none: it is within two of them
@@ -405,8 +405,13 @@ def _why_unusable(status: Status, record: Record, failed: str,
         reason = (f'The arithmetic failed ({failed}); check the signals, their sizes and units, '
                   'and that the window is long enough.')
     elif status is Status.NO_EXCITATION:
-        reason = (f'No input moves within the window ({", ".join(record.input_names)}); choose a '
-                  'part of the data in which they move.')
+        silent = next((record.input_names[k.start].partition('[')[0] for s, k in zip(
+            record.inputs, channel_slices(record.inputs), strict=True) if np.any(silent_between(
+                s, record.start, record.end, np.zeros(s.width)))), '')
+        cure = f'if a timeout stops the robot while {silent} is silent, set `{silent}.timeout`' \
+            if silent else 'choose a part of the data in which they move'
+        reason = f'No input moves within the window ({", ".join(record.input_names)}); {cure}.'
+        remedy = Remedy.SETTING if silent else remedy
     elif status is Status.NO_RESPONSE:
         reason = (f'No output moves within the window ({", ".join(record.output_names)}); check '
                   'that the sensors work.')
