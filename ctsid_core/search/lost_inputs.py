@@ -11,6 +11,7 @@ from some time after a message on.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -121,12 +122,13 @@ class _Stop(NamedTuple):
 
 def _stops(solution: Solution, model: Solution, settings: Settings, most: int) -> list[_Stop]:
     """Return what seems to stop inputs, given the records as they are and a model of them."""
-    if solution.refit:
-        return []
-    parts, (samples, fit, free) = solution.part.parts, _simulation(solution, settings)
-    _, fit, free = model.simulated or (samples, fit, free)
+    parts, found = solution.part.parts, dict[int, float]()
     own, whole = channel_slices(parts[0].record.inputs), parts[0].whole
-    found = times_out(samples, fit, free, [p.u_level for p in parts], most)
+    with suppress(np.linalg.LinAlgError):
+        if not solution.refit:
+            samples, fit, free = _simulation(solution, settings)
+            _, fit, free = model.simulated or (samples, fit, free)
+            found = times_out(samples, fit, free, [p.u_level for p in parts], most)
     return [_Stop(channels, ', '.join(whole.input_names[channels]), seconds)
             for place, seconds in found.items() for channels in channel_slices(whole.inputs)
             if parts[0].u[own[place].start] in range(channels.start, channels.stop)]
