@@ -9,6 +9,7 @@ import numpy as np
 
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
+from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
@@ -105,7 +106,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
     if verdict.grade is Grade.GOOD:
-        evidence = replace(evidence, stamp_sensitivity=stamp_sensitivity(solution, seen[0]))
+        evidence = replace(evidence, stamp_sensitivity=stamp_sensitivity(solution, seen[0]),
+                           spent=_spent(effort))
         status, verdict = judge(evidence)
     asked = _asked_for_leads(sought, seen[0], STATES)
     if verdict.grade is not Grade.GOOD and any(asked) and not lead.any() and not effort.over:
@@ -271,8 +273,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=stuck_outputs(solution, moving),
         expected=everywhere(unseen.expected), untested=unseen.why,
-        spent=f'the budget of {effort.budget:.3g} s is spent; not asked, or in part, is '
-        f'{", ".join(effort.left_out)}; raise `budget`' if effort.left_out else '',
+        spent=_spent(effort),
         fitted=everywhere(fitted), driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
@@ -290,6 +291,12 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))
+
+
+def _spent(effort: Effort) -> str:
+    """Return what the budget has left out, in words."""
+    return f'the budget of {effort.budget:.3g} s is spent; not asked, or in part, is ' \
+           f'{", ".join(effort.left_out)}; raise `budget`' if effort.left_out else ''
 
 
 def _unheld(solution: Solution, moving: StateSpace) -> bool:
