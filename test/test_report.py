@@ -19,7 +19,7 @@ import scipy.signal
 from ctsid_core.model.covariance import Covariance, Entries
 from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import Validation
+from ctsid_core.model.validation import Validation, simulation
 from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
@@ -32,7 +32,8 @@ from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 from ctsid_ros.report.drawing import thinned as fewer
 from ctsid_ros.report.explorer import facts
 from ctsid_ros.report.interactive import figure
-from ctsid_ros.report.outputs import sampling_figures
+from ctsid_ros.report.model_page import Shown, output_section, response_sections
+from ctsid_ros.report.outputs import Part, sampling_figures
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import track_curve
 from ctsid_ros.report.residual_figures import horizon_figure
@@ -536,6 +537,26 @@ def test_a_timeout_is_told_where_there_is_one():
     stops = replace(TRUTH, timeout=(0.5,))
     assert ', timeout 0.500 s.' in to_text([model_section(estimate(stops), 'Model')])
     assert facts(estimate(stops), {})['timeout [s]'] == '0.500'
+
+
+def test_inputs_are_drawn_as_they_act():
+    """A robot stood while the page showed its last command; spectra were 6 dB off."""
+    rng = np.random.default_rng(0)
+    sent = np.sort(rng.choice(np.arange(0.0, 60.0, 0.05), 150, replace=False))
+    given = Signal(sent, np.where(rng.random((150, 1)) < 0.5, -1.0, 1.0), 'zoh', ('u',))
+    model = StateSpace([[-4.0]], [[4.0]], [[1.0]], timeout=(0.2,), input_names=('u',),
+                       output_names=('y',))
+    t = np.arange(0.0, 59.0, 0.02)
+    seen = Signal(t, model.simulate([given], t), 'smooth', ('y',))
+    record = Record.from_signals([given], [seen])
+    found = simulation(model, record)
+    shown = Shown(record, model, [Part('all', found, found.fit)], 0.0)
+    measured, = output_section(shown, Settings()).parts[-1].figures
+    drawn = measured.drawing.panels[-1].curves[0]
+    assert set(np.unique(drawn.y)) == {-1.0, 0.0, 1.0}
+    bode = next(response_sections({'model': (model, None)}, shown)).parts[-1].figures[0]
+    dots = next(c for c in bode.drawing.panels[0].curves if 'spectra' in c.label)
+    assert np.median(dots.y[dots.x < 2.0]) == pytest.approx(0.0, abs=1.0)       # dB
 
 
 def test_choices_are_told_in_the_files_only():
