@@ -27,7 +27,7 @@ from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.signals.timeouts import acting
+from ctsid_core.signals.timeouts import as_acting
 from ctsid_core.subspace.methods import METHODS
 
 
@@ -124,7 +124,7 @@ def _joined(records: tuple[Record, ...], settings: Settings, effort: Effort,
             lost: bool = False) -> Joint | Unusable:
     """Return what can be used of records, their inputs as they act."""
     return join_records(
-        [replace(r, inputs=acting(r.inputs, settings.timeouts(r.nu))) for r in records],
+        [as_acting(r, settings.timeouts(r.nu)) for r in records],
         settings.with_known_delays(), effort.check, lost=lost)
 
 

@@ -59,7 +59,7 @@ def findings() -> list[tuple[Remedy, str]]:
     acts = replace(WORST, doubt=('input a acts as if it were 0', 'a.timeout: 0.5'),
                    at_once=(0.1, np.inf), drift=jumps)
     stamps = replace(WORST, doubt=('a mode decays', 'feedthrough: true'), stamp_sensitivity=0.4,
-                     moving=True)
+                     follows_at_once=True)
     for one in (replace(WORST, unproven=True), late, acts, stamps, *(
             replace(WORST, numbers=n, fixed_inputs=()) for n in (line, shared))):
         found += rules._weaknesses(one)

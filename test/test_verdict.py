@@ -727,6 +727,26 @@ def test_a_slow_pair_is_two_states_however_its_poles_are_given(slow_poles, doubt
     assert (found is not None) is doubted
 
 
+@pytest.mark.parametrize(('delay', 'doubted'), [(0.0, True), (0.1, False)])
+def test_a_fast_mode_is_no_direct_term_behind_a_dead_time(delay, doubted):
+    samples = samples_of([excited(29)[1]], [[None]])
+    free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
+    found = doubt_of_direct(np.array([-60.0, -5.0], dtype=complex), np.array([delay]), samples,
+                            free, False)
+    assert (found is not None) is doubted
+
+
+def test_a_fast_plant_in_open_loop_is_good_without_a_direct_term():
+    """Its command rests, as no controller's does: it may follow at once, and that is a note."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
+    u = np.repeat(rng.choice((-1.0, 1.0), 50), 40)[:, np.newaxis]
+    p = plant([[-125.0, 0.0], [4.0, -4.0]], [[125.0], [0.0]], [[0.5, 0.5]])
+    y = noisy(rng, held_response(p, t, u, t), 30)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings(feedthrough=False))
+    assert found.good, found.verdict.reason
+    assert any('set `feedthrough: true`' in note for note in found.notes)
+
+
 @pytest.mark.slow
 def test_a_controller_is_nearly_always_pointed_to():
     """Of 20 records 16 and 18, as the processor rounds; one is GOOD, predicted; told, all are."""

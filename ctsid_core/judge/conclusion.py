@@ -50,7 +50,7 @@ from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
-from ctsid_core.search.solution import GROWS, NEARLY, Doubt, Solution, at_fastest
+from ctsid_core.search.solution import DIRECT, GROWS, NEARLY, Doubt, Solution, at_fastest
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
@@ -287,7 +287,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         at_once=tuple(np.ravel(at_once).tolist()),
-        moving=never_rest([p.record for p in part.parts]), within=_within(solution), drift=drift,
+        follows_at_once=solution.doubt is not None and solution.doubt[1] == DIRECT
+        and never_rest([p.record for p in part.parts]), within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))

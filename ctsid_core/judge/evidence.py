@@ -44,7 +44,8 @@ class Evidence:
     fastest: bool = False           # a pole is about as fast as any that is looked for
     # (nu,), if D is not 0: the distance to a controller that answers at once
     at_once: tuple[float, ...] = ()
-    moving: bool = False            # an input never rests: `ctsid_core.judge.feedback.never_rest`
+    # Outputs seem to follow at once an input that never rests, though D is not allowed
+    follows_at_once: bool = False
     stamp_sensitivity: float = 0.0  # see `ctsid_core.judge.feedback.stamp_sensitivity`
     drift: Drift = Drift()
     drifting: str = ''              # which of several records drifts

@@ -34,7 +34,7 @@ import numpy as np
 
 from ctsid_core.likelihood.output_error import climb_roughly, fit_at
 from ctsid_core.linear.least_squares import least_norm
-from ctsid_core.linear.types import Array, ComplexArray, Matrices
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 from ctsid_core.search.by_prediction import plant_of
@@ -101,20 +101,15 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
     with suppress(np.linalg.LinAlgError):
         moved = climb_roughly(other, fit_at(other, fit.model.poles, fit.model.delay, free, fit),
                               free)
-        own, changed = (_response(plant_of(one, samples, last, np.inf), one.model.delay, omega)
-                        for one in (fit, moved))
+        plants = [(plant_of(one, samples, last, np.inf), one.model.delay) for one in (fit, moved)]
+        if any(m is None for m, _ in plants):
+            return 0.0
+        own, changed = (StateSpace(m.A, m.B, m.C, m.D, delay=tuple(late[:m.B.shape[1]].tolist())
+                                   ).frequency_response(omega)
+                        for m, late in plants if m is not None)
         return float(np.median(np.linalg.norm(changed - own, axis=(1, 2))
                                / np.linalg.norm(own, axis=(1, 2))))
     return 0.0                                  # nothing is known of it
-
-
-def _response(m: Matrices | None, delay: Array, omega: Array) -> ComplexArray:
-    """Return the frequency response of a plant, (M, ny, nu); raise if there is none."""
-    if m is None:
-        raise np.linalg.LinAlgError('no plant has this predictor')
-    s, late = 1j * omega[:, np.newaxis, np.newaxis], delay[:m.B.shape[1]]
-    found: ComplexArray = m.C @ np.linalg.solve(s * np.eye(len(m.A)) - m.A, m.B[np.newaxis])
-    return found * np.exp(-s * late)
 
 
 def never_rest(records: Sequence[Record]) -> bool:

@@ -274,7 +274,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
-    if e.moving and e.doubt and e.doubt[1] == DIRECT:
+    if e.follows_at_once and e.doubt and e.doubt[1] == DIRECT:
         yield Remedy.SIGNALS, f'{_begun(_LATE)}.'
     if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]
                     or TIMEOUT in e.doubt[1]):

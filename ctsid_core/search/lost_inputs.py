@@ -32,7 +32,7 @@ from ctsid_core.signals.timeouts import in_words
 _MORE = 1.5           # times the error elsewhere: what was sent last did not go on
 _ROUNDS = 6           # as often timeouts are looked for, unless they stay as they are ...
 _ALIKE = 0.005        # ... to this part of them
-APART = 0.1          # of a timeout: nearer to what is given is no doubt
+APART = 0.1           # of a timeout: nearer to what is given is no doubt
 
 
 def lost_inputs(solution: Solution) -> bool:

@@ -121,10 +121,10 @@ def table_of(found: dict[int, Tried], chosen: Tried,
              settings: Settings) -> tuple[OrderTried, ...]:
     """Return the orders among which was chosen; none if it was given."""
     return () if settings.order else tuple(
-        order_row(one, chosen, n) for n, one in sorted(found.items()))
+        _order_row(one, chosen, n) for n, one in sorted(found.items()))
 
 
-def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
+def _order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
     """Return a row of the table of orders: all by the independent samples of the chosen one."""
     n_eff = max(float(np.min(chosen.independent)), 2.0)
     power = one.power / np.maximum(chosen.power, 1e-300)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array
-from ctsid_core.signals.record import Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, channel_slices
 
 
 def acting(inputs: Sequence[Signal], timeout: Sequence[float]) -> tuple[Signal, ...]:
@@ -30,6 +30,11 @@ def acting(inputs: Sequence[Signal], timeout: Sequence[float]) -> tuple[Signal, 
                             f'{signal.names or ""} of the same messages; give them the same')
     return tuple(stopped(signal, timeout[channels.start]) if signal.width else signal
                  for signal, channels in zip(inputs, channel_slices(inputs), strict=True))
+
+
+def as_acting(record: Record, timeout: Sequence[float]) -> Record:
+    """Return a record whose inputs are as they act."""
+    return replace(record, inputs=acting(record.inputs, timeout))
 
 
 def stopped(signal: Signal, timeout: float, rest: Array | float = 0.0) -> Signal:
