@@ -272,6 +272,8 @@ def test_a_timeout_is_kept_where_commands_are_lost_too():
                                                   values=values[kept]),)))
     assert found.model.timeout == pytest.approx((0.5,), rel=0.05)
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.03)
+    assert found.fit[0] > 80.0                          # 70 % where it is not divided there
+    assert any('nothing to be used' in note for note in found.notes)
     assert any(c.name == 'timeout' for c in found.choices)
     assert any('counts as 0' in note for note in found.notes)
 
