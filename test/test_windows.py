@@ -207,8 +207,31 @@ def test_what_came_before_the_beginning_is_history_and_counts_for_nothing():
         alone.push(*sample)
     found, wanted = slider.whole(), alone.whole()
     assert slider.counts == alone.counts
-    assert (found.epoch_ns, found.end) == (wanted.epoch_ns, wanted.end)
+    first, last = min(s[1] for s in later if s[0] == 'y' and s[1] >= EPOCH + 5 * S), 1e-9 * (
+        wanted.epoch_ns - EPOCH) + wanted.end
+    assert (found.epoch_ns, 1e-9 * (first - EPOCH) + found.end) == (first, pytest.approx(last))
     assert found.inputs[0].time[0] < -0.9 < wanted.inputs[0].time[0]
+
+
+@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+def test_what_is_held_is_known_from_before_the_beginning(hold):
+    """A key was pressed before it, and once more long after it: nothing is to be waited for."""
+    slider = SlidingWindow((Group('u', 1, 'input', hold), Group('y', 1, 'output', 'linear')),
+                           1e5, 1e5, 0.1)
+    keys, outputs = {3: 1.0, 25: -1.0, 28: 0.0}, range(0, 3000)
+    stamps = sorted([('u', EPOCH + k * S, (v,)) for k, v in keys.items()]
+                    + [('y', EPOCH + k * S // 100, (0.01 * k,)) for k in outputs],
+                    key=lambda s: s[1])
+    for sample in stamps:
+        if sample[1] == EPOCH + 5 * S and sample[0] == 'y':
+            slider.begin()
+        slider.push(*sample)
+    record = slider.whole()
+    since = 5 if hold == 'zoh' else 25
+    assert record.epoch_ns == EPOCH + since * S
+    assert [record.inputs[0].time[0], *record.inputs[0].values[:, 0]] == (
+        [-2.0, 1.0, -1.0, 0.0] if hold == 'zoh' else [-22.0, 1.0, -1.0, 0.0])
+    assert slider.counts.groups['u'].accepted == 2
 
 
 def test_no_window_and_bounded_memory_while_a_group_is_missing():

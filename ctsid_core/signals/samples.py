@@ -130,8 +130,9 @@ class Samples:
         self.newest = STAMP_MAX  # so that the first sample is not taken for an ordinary one
 
     def begin(self) -> None:
-        """Take all samples so far for history, and count anew."""
-        self.first, self.newest = None, STAMP_MAX
+        """Take all samples so far for history, and count anew; what is held stays known."""
+        if self.group.role != 'input' or self.group.hold != 'zoh' or not self.stamps:
+            self.first, self.newest = None, STAMP_MAX
         self.discarded, self.dropped = -len(self.stamps), dict.fromkeys(self.dropped, 0)
         self.forget_worst()
 

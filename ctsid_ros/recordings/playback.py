@@ -176,9 +176,7 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     split_ns = math.inf if split is None else bag.start_ns + split * 1e9
     mark = 0
     spans: Spans = {}
-    length = min(interval.duration, (bag.end_ns - bag.start_ns) * 1e-9 - interval.start)
-    for log_ns in play(bag, ingest, interval, advance, spans, split_ns,
-                       config.longest_delay(length)):
+    for log_ns in play(bag, ingest, interval, advance, spans, split_ns):
         if not mark and log_ns >= split_ns:
             mark = ingest.newest_ns
     record = ingest.whole()
@@ -196,7 +194,8 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     if split is not None and not record.start < inside < record.end:
         raise BagError(f'{split:g} s does not lie within the recorded signals, which last from '
                        f'{_seconds(bag, record)}; choose another time to split at')
-    record, notes = as_measured(record)
+    record, notes = as_measured(record.between(
+        record.start, record.end, lead=config.longest_delay(record.duration)))
     return Recorded(config, ingest.counts(), (*complaints, *notes), record=record,
                     split=math.nan if split is None else inside)
 
@@ -207,10 +206,11 @@ def _seconds(bag: Bag, record: Record) -> str:
 
 
 def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None = None,
-         spans: Spans | None = None, pause_ns: float = math.inf, lead: float = 0.0
-         ) -> Iterator[int]:
+         spans: Spans | None = None, pause_ns: float = math.inf) -> Iterator[int]:
     """
     Push the messages of an interval, block by block; yield the last log time of each [ns].
+
+    What was recorded before it is history of the inputs.
 
     Parameters
     ----------
@@ -223,8 +223,6 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         Filled with first and last log time of each topic [ns].
     pause_ns : float, optional
         The first message with this log time or a later one ends a block [ns].
-    lead : float, optional
-        History of the inputs before the interval [s].
 
     Raises
     ------
@@ -232,8 +230,7 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         If topics or fields are not in the bag, or it cannot be read on.
     """
     first_ns, last_ns = interval.span_ns(bag)
-    begin_ns = first_ns - round(lead * 1e9)
-    for both in _paused(bag.blocks(ingest.fields), begin_ns, last_ns, pause_ns):
+    for both in _paused(bag.blocks(ingest.fields), last_ns, pause_ns):
         before, block = both.split(int(np.searchsorted(both.log_ns, first_ns)))
         if len(before):
             ingest.push_block(before)
@@ -254,12 +251,11 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         advance(1.0, '')
 
 
-def _paused(blocks: Iterator[Block], first_ns: int, last_ns: int, pause_ns: float
-            ) -> Iterator[Block]:
-    """Cut blocks at the ends of an interval, and behind the first message from `pause_ns` on."""
+def _paused(blocks: Iterator[Block], last_ns: int, pause_ns: float) -> Iterator[Block]:
+    """Cut blocks at the end of an interval, and behind the first message from `pause_ns` on."""
     for block in blocks:
-        low, high = np.searchsorted(block.log_ns, (first_ns, last_ns + 1)).tolist()
-        inside = block if high - low == len(block) else block.split(high)[0].split(low)[1]
+        high = int(np.searchsorted(block.log_ns, last_ns + 1))
+        inside = block if high == len(block) else block.split(high)[0]
         log_ns = inside.log_ns
         if len(log_ns) and pause_ns <= log_ns[-1]:
             early, inside = inside.split(int(np.searchsorted(log_ns, pause_ns)) + 1)

@@ -194,9 +194,7 @@ class Replay:
 
     def _windows(self, ingest: Ingest, advance: Advance | None, spans: Spans | None
                  ) -> Iterator[Record]:
-        length = self.config.settings.window_length
-        lead = max(length, self.config.longest_delay(length))       # no window looks further back
-        for _ in play(self._bag, ingest, self._interval, advance, spans, lead=lead):
+        for _ in play(self._bag, ingest, self._interval, advance, spans):
             yield from ingest.due()
         yield from ingest.flush()
 
