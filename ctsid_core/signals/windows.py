@@ -9,7 +9,8 @@ often `SlidingWindow.due` is called:
   its final order; a sample that arrives older than it is *late*: dropped and counted. It is
   common to all groups, so that a silent group cannot stall the others.
 - The first window starts where every group has had its first sample, a held input one before the
-  beginning (`begin`); the others follow by `stride`. Inputs have the `lead` seconds before it, too, if they are known: they act in it.
+  beginning (`begin`); the others follow by `stride`. Inputs have the `lead` seconds before it,
+  too, if they are known: they act in it.
 - A window is due when the watermark has passed its end and every interpolated group has the
   samples after it that its interpolation wants; or, for a group that stopped, a tenth of the
   length later. It is handed out with what there is. A window without any sample is skipped and
