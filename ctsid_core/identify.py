@@ -18,16 +18,17 @@ from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.search.actuators import of_actuators, with_choices
 from ctsid_core.search.corrupt import given_back
-from ctsid_core.search.lost_inputs import of_silent_inputs
+from ctsid_core.search.lost_inputs import of_lost_inputs
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.solve import solve
 from ctsid_core.search.task import own_delays
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
+from ctsid_core.signals.actuators import known
 from ctsid_core.signals.record import Record
-from ctsid_core.signals.timeouts import as_acting
 from ctsid_core.subspace.methods import METHODS
 
 
@@ -58,10 +59,9 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     Raises
     ------
     SettingsError
-        If `settings.delay` or `settings.timeout` does not fit the number of inputs.
+        If `settings.delay`, or what lies before inputs, does not fit the number of inputs.
     DataError
-        If several records differ in the number, names or units of their channels, or channels of
-        one signal in their timeouts.
+        If several records differ in the number, names or units of their channels.
     Cancelled
         If `cancelled` said so.
 
@@ -124,7 +124,7 @@ def _joined(records: tuple[Record, ...], settings: Settings, effort: Effort,
             lost: bool = False) -> Joint | Unusable:
     """Return what can be used of records, their inputs as they act."""
     return join_records(
-        [as_acting(r, settings.timeouts(r.nu)) for r in records],
+        [known(r, settings.actuators(r.nu)) for r in records],
         settings.with_known_delays(), effort.check, lost=lost)
 
 
@@ -135,8 +135,7 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
 
     def found(part: Joint | Unusable, settings: Settings) -> Solution | None:
         by = solve if refined else partial(solve_by, method)
-        each = settings.timeouts(records[0].nu)
-        own = settings.replace(timeout=each if len(set(each)) > 1 else max(each, default=0.0))
+        own = settings.with_actuators(settings.actuators(records[0].nu))
         return None if isinstance(part, Unusable) else given_back(
             part, lambda one: by(one, own, effort), effort)
 
@@ -145,7 +144,13 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             _joined(records, settings, effort, lost), settings)
 
     solution = found(part, settings)
-    solution = solution and of_silent_inputs(solution, settings, again)
+    if solution is not None:
+        nu = records[0].nu
+        sent = _joined(records, settings.with_actuators((Actuator(),) * nu), effort) if any(
+            map(any, settings.actuators(nu))) else part
+        solution = of_actuators(solution, part if isinstance(sent, Unusable) else sent, settings,
+                                again)
+        solution = with_choices(of_lost_inputs(solution, settings, again), settings)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
                                  spent=effort.beyond(SEARCH))

@@ -8,14 +8,15 @@ files and nodes, the command line's help, the commented YAML files and `docs/par
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 import difflib
 import math
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from ctsid_core.errors import SettingsError
 
+LARGEST_INPUT = 1e12   # number of what lies before an input
 LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s], ...
 _SHARE = 0.25          # ... as far as it is this part of a record at most
 _NEAREST = 1e-5        # times e within a record, that a mode decays at least
@@ -24,6 +25,16 @@ Hold = Literal['zoh', 'linear', 'smooth']
 METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
 UNCHECKED = 'none'
 HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
+
+
+class Actuator(NamedTuple):
+    """What lies between an input that is held and what acts, in this order; 0: nothing."""
+
+    timeout: float = 0.0        # [s]: so long after a message it counts as 0, until the next one
+    dead_zone: float = 0.0      # so much of it moves nothing [unit]
+    limit: float = 0.0          # so much acts at most, of either sign [unit]
+    backlash: float = 0.0       # play: of a turn back so much moves nothing [unit]
+    rate_limit: float = 0.0     # what acts changes no faster [unit/s]
 
 
 def parameter(
@@ -91,6 +102,27 @@ class Settings:
         low=0.0, high=LONGEST_DELAY, words=('auto',), structural=True,
         when='Set it to the timeout of the driver (cmd_vel_timeout), or to 0.0 where the last '
         'command goes on.')
+    dead_zone: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'How much of a held input, from 0 on, moves nothing: one for all, or one per '
+        'input; 0.0: none; auto: found from the data.', low=0.0, high=LARGEST_INPUT,
+        words=('auto',), structural=True,
+        when='Set it to the dead band of the driver, or to 0.0 where small commands act.')
+    limit: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'How much of a held input acts at most, of either sign: one for all, or one per '
+        'input; 0.0: all of it; auto: found from the data.', low=0.0, high=LARGEST_INPUT,
+        words=('auto',), structural=True,
+        when='Set it to the limit of the driver or motor (max_velocity), or to 0.0 where large '
+        'commands act.')
+    backlash: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'Play between a held input and what it moves: one for all, or one per input; '
+        '0.0: none; auto: found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',),
+        structural=True, when='Set it to 0.0 where there is no gear.')
+    rate_limit: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'How fast what acts of a held input changes at most, in its unit per second: one '
+        'for all, or one per input; 0.0: at once; auto: found from the data.', low=0.0,
+        high=LARGEST_INPUT, words=('auto',), structural=True,
+        when='Set it to the limit of the driver (max_acceleration of a velocity), or to 0.0 where '
+        'commands act at once.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
         when='Set it to false to see the plain subspace estimate.')
@@ -201,13 +233,26 @@ class Settings:
         """Return of which inputs the dead time is to be found; raises like `delays`."""
         return tuple(isinstance(d, str) for d in self._each('delay', nu))
 
+    def actuators(self, nu: int) -> tuple[Actuator, ...]:
+        """Return what lies before each of `nu` inputs; 0 where it is to be found from the data."""
+        each = [[0.0 if isinstance(v, str) else float(v) for v in self._each(kind, nu)]
+                for kind in Actuator._fields]
+        return tuple(map(Actuator._make, zip(*each, strict=True)))
+
     def timeouts(self, nu: int) -> tuple[float, ...]:
         """Return the timeout of each of `nu` inputs [s]; 0 where it is to be found."""
-        return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each('timeout', nu))
+        return tuple(own.timeout for own in self.actuators(nu))
 
-    def unknown_timeouts(self, nu: int) -> tuple[bool, ...]:
-        """Return of which inputs the timeout is to be found."""
-        return tuple(isinstance(d, str) for d in self._each('timeout', nu))
+    def unknown_actuators(self, kind: str, nu: int) -> tuple[bool, ...]:
+        """Return of which inputs one kind of actuator is to be found."""
+        return tuple(isinstance(v, str) for v in self._each(kind, nu))
+
+    def with_actuators(self, actuators: Sequence[Actuator]) -> Settings:
+        """Return a copy that has these; as one number where all inputs have the same."""
+        each = {kind: tuple(values) for kind, values in zip(
+            Actuator._fields, zip(*actuators, strict=True), strict=False)}
+        return self.replace(**{kind: values if len(set(values)) > 1 else values[0]
+                               for kind, values in each.items()})
 
     def longest_delay(self, nu: int, length: float) -> float:
         """Return the longest dead time of `nu` inputs in a record of some length [s]."""

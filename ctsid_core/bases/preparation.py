@@ -141,7 +141,9 @@ def usable(record: Record, settings: Settings,
                                    _held_at(record, outputs, settings), check)
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
-    return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
+    sent = [s.columns([j]) for s in record.sent for j in range(s.width)]
+    return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs), sent=tuple(
+        sent[j] for j in u if sent)), record, u, y,
                   u_level, y_level, tuple(notes), corrupt_u, corrupt_y)
 
 

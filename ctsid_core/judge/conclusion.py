@@ -73,7 +73,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     m, intensity = _matrices(solution, errors)
     last = part.parts[part.last]
     model = replace(_whole_model(last, m, solution.settings.delays(last.whole.nu), intensity),
-                    timeout=solution.settings.timeouts(last.whole.nu))
+                    actuators=solution.settings.actuators(last.whole.nu))
     moving = StateSpace(m.A, m.B, m.C, m.D, delay=tuple(solution.delay.tolist()))
     covariance = _covariance(solution, model, sought)
     deviation = np.full(model.n, np.nan) if covariance is None else \

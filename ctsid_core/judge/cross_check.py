@@ -24,8 +24,8 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Agreement
-from ctsid_core.search.lost_inputs import APART
-from ctsid_core.settings import UNCHECKED, Settings
+from ctsid_core.search.actuators import APART
+from ctsid_core.settings import UNCHECKED, Actuator, Settings
 from ctsid_core.subspace.methods import METHODS
 
 RELATIVE = 0.05       # of the response, above which a difference matters
@@ -51,8 +51,9 @@ def cross_checked(found: Estimate, settings: Settings,
 
 def _second_settings(settings: Settings, model: StateSpace) -> Settings:
     """Return the settings of the second method."""
-    other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED, refine=True,
-                             timeout=model.timeout if any(model.timeout) else settings.timeout)
+    other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED, refine=True)
+    if any(map(any, model.actuators)):
+        other = other.with_actuators(model.actuators)
     if METHODS[other.method].refines and any(settings.unknown_delays(model.nu)):
         # States may stand for a dead time that the first did not look for.
         return other
@@ -76,7 +77,7 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     if one is None or other is None:
         return Agreement(method, False, True,
                          problem=problem or 'there is no model to compare.')
-    problem = problem or _other_timeouts(one, other) or _divergence(first, one, other)
+    problem = problem or _other_actuators(one, other) or _divergence(first, one, other)
     bands = _bands(first)
     if not bands:
         return Agreement(method, False, bool(problem),
@@ -111,11 +112,12 @@ def _finding(reason: str) -> str:
     return (reason.rpartition('; ')[0] or reason).removesuffix('.')
 
 
-def _other_timeouts(one: StateSpace, other: StateSpace) -> str:
-    """Return which input counts as 0 from another time after its messages on, if one does."""
-    return next((f'input {name} counts as 0 from {b:.3g} s after a message on, and from {a:.3g} s '
-                 'with the first (0: it never does).' for name, a, b in zip(
-                     one.input_names or 'u' * one.nu, one.timeout, other.timeout, strict=True)
+def _other_actuators(one: StateSpace, other: StateSpace) -> str:
+    """Return what lies otherwise before which input, if anything does."""
+    return next((f'`{kind}` of input {name} is {b:.3g}, and {a:.3g} with the first (0: none).'
+                 for name, mine, its in zip(one.input_names, one.actuators, other.actuators,
+                                            strict=True)
+                 for kind, a, b in zip(Actuator._fields, mine, its, strict=True)
                  if abs(a - b) > APART * max(a, b)), '')
 
 

@@ -264,8 +264,9 @@ def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray
     power = np.abs(lines) ** 2
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.argsort(-strength, kind='stable')[:_LINES]
-    half_rates = np.array([rate for s in inputs for rate in _half_rates(
+    half_rates = np.array([rate for s in record.commands for rate in _half_rates(
         s.between(since, record.end))])
+    acting = np.diff(steps_of(record.commands, delay, record.start, t).inputs, axis=1)
     sent = (sent - sent.mean(axis=1, keepdims=True)) * np.sqrt(t[1] - t[0])
     return (omega[places], lines[:, places], sent,
-            _Acting(np.diff(u, axis=1), t[1] - t[0], half_rates))
+            _Acting(acting, t[1] - t[0], half_rates))

@@ -68,7 +68,7 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
     found = np.full((len(records), model.nu), np.inf)
     for row, record in zip(found, records, strict=True):
         j = 0
-        for signal in record.inputs:
+        for signal in record.commands:
             rests = _rests(signal, record) if same_instant else [0.0] * signal.width
             for answer, rest in zip(_answers(signal, record, before), rests, strict=True):
                 if answer is not None and rest <= _MOVING * signal.period:

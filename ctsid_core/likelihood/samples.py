@@ -53,6 +53,7 @@ class RecordSamples:
     streams: tuple[Stream, ...]
     span: tuple[float, float]  # of the recording that it is all of, or a part of [s]
     recording: int             # the number of that
+    commands: tuple[Signal, ...] = ()   # the inputs as they were sent
 
     @cached_property
     def drives(self) -> tuple[Drive, ...]:
@@ -194,5 +195,5 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
             recordings.append(whole)
         span = (first, record.end) if whole is record else (whole.start, whole.end)
         found.append(RecordSamples(record.inputs, first, record.end, tuple(streams),
-                                   span, recordings.index(whole)))
+                                   span, recordings.index(whole), record.commands))
     return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())

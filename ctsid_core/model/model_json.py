@@ -29,7 +29,8 @@ from ctsid_core.model.estimate import REMEDIES, Choice, Estimate, OrderTried, Re
 from ctsid_core.model.json_values import Reader, from_text, to_text
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Agreement, Excitation, Grade, Remedy, Verdict
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
+from ctsid_core.signals.actuators import by_kind
 
 FORMAT = 'ctsid-model'
 VERSION = 2
@@ -88,10 +89,10 @@ def _model(model: StateSpace | None) -> dict[str, object] | None:
         return None
     poles = zip(model.poles.real, model.poles.imag, model.natural_frequency, model.damping,
                 strict=True)
-    timeout = {'timeout': model.timeout} if any(model.timeout) else {}
     return {**{key: getattr(model, key) for key in (*SIZES, *WORDS, *MATRICES, 'noise')},
-            **timeout, 'poles': [dict(zip(('re', 'im', 'natural_frequency', 'damping'), pole,
-                                          strict=True)) for pole in poles]}
+            **by_kind(model.actuators),
+            'poles': [dict(zip(('re', 'im', 'natural_frequency', 'damping'), pole, strict=True))
+                      for pole in poles]}
 
 
 def _covariance(covariance: Covariance | None) -> dict[str, object] | None:
@@ -186,10 +187,12 @@ def _read_model(value: Any, where: str) -> StateSpace | None:
         **dict.fromkeys(WORDS, read.listed(read.word)),
         **{key: read.numbers(*(size[s] for s in shape)) for key, shape in MATRICES.items()},
         'noise': read.numbers(ny, ny) if some else read.anything,
-        'timeout': read.numbers(size['nu'])}, optional=('timeout',))
+        **dict.fromkeys(Actuator._fields, read.numbers(size['nu']))}, optional=Actuator._fields)
     poles = given.pop('poles')
+    each = [given.pop(kind, (0.0,) * size['nu']) for kind in Actuator._fields]
     try:
-        model = StateSpace(**{key: given[key] for key in given if key not in SIZES})
+        model = StateSpace(**{key: given[key] for key in given if key not in SIZES},
+                           actuators=tuple(map(Actuator._make, zip(*each, strict=True))))
     except DataError as error:
         raise StorageError(f'`{where}`: {error}') from error
     _check_poles(poles, model, where)

@@ -22,8 +22,9 @@ from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model import realisation
 from ctsid_core.model.simulation import respond
+from ctsid_core.settings import Actuator
+from ctsid_core.signals.actuators import acting
 from ctsid_core.signals.record import Signal
-from ctsid_core.signals.timeouts import acting
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,9 @@ class StateSpace:
         measurement noise.
     delay : tuple of float, length nu
         Dead time of each input [s].
-    timeout : tuple of float, length nu
-        Time after a message from which on each input, if it is held, counts as 0 until the next
-        one [s]; 0: never.
+    actuators : tuple of Actuator, length nu
+        What lies between each input, if it is held, and what acts: its timeout, dead zone, limit,
+        backlash and rate limit; 0: none.
     x_trim : ndarray, shape (n,)
         Constant drive of the states [state/s].
     y_trim : ndarray, shape (ny,)
@@ -77,7 +78,7 @@ class StateSpace:
     D: Array = field(default_factory=lambda: np.empty(0))
     K: Array = field(default_factory=lambda: np.empty(0))
     delay: tuple[float, ...] = ()
-    timeout: tuple[float, ...] = field(default=(), kw_only=True)
+    actuators: tuple[Actuator, ...] = field(default=(), kw_only=True)
     x_trim: Array = field(default_factory=lambda: np.empty(0))
     y_trim: Array = field(default_factory=lambda: np.empty(0))
     input_names: tuple[str, ...] = ()
@@ -97,14 +98,17 @@ class StateSpace:
                                                       {'noise': (ny, ny)})
         for name, shape in wanted.items():
             object.__setattr__(self, name, _shaped(name, getattr(self, name), shape))
-        # No timeouts are none of any number of inputs: `replace` need not name them.
-        for name, what, given in (('delay', 'dead times', self.delay), (
-                'timeout', 'timeouts', self.timeout if any(self.timeout) else ())):
-            times = tuple(float(d) for d in given) or (0.0,) * nu
-            if len(times) != nu or not all(0 <= d < float('inf') for d in times):
-                raise DataError(f'`{name}` is {times}; wanted are {nu} {what} in s, one per '
-                                'input, none negative')
-            object.__setattr__(self, name, times)
+        delay = tuple(float(d) for d in self.delay) or (0.0,) * nu
+        if len(delay) != nu or not all(0 <= d < float('inf') for d in delay):
+            raise DataError(f'`delay` is {delay}; wanted are {nu} dead times in s, one per '
+                            'input, none negative')
+        object.__setattr__(self, 'delay', delay)
+        # None are none of any number of inputs: `replace` need not name them.
+        given = self.actuators if any(map(any, self.actuators)) else (Actuator(),) * nu
+        if len(given) != nu or not all(0 <= v < float('inf') for own in given for v in own):
+            raise DataError(f'`actuators` is {given}; wanted are {nu}, one per input, with no '
+                            'negative number')
+        object.__setattr__(self, 'actuators', tuple(given))
         for name, count in (('input_names', nu), ('input_units', nu),
                             ('output_names', ny), ('output_units', ny)):
             words = getattr(self, name)
@@ -219,8 +223,8 @@ class StateSpace:
         """
         self.check_width('input', sum(s.width for s in inputs), self.nu)
         start = np.zeros(self.n) if x0 is None else _shaped('x0', x0, (self.n,))
-        x, u = respond(self.A, self.B, self.x_trim, acting(inputs, self.timeout), self.delay,
-                       np.asarray(times, dtype=float), start)
+        x, u = respond(self.A, self.B, self.x_trim, acting(inputs, self.actuators),
+                       self.delay, np.asarray(times, dtype=float), start)
         with np.errstate(over='ignore', invalid='ignore'):
             return x @ self.C.T + u @ self.D.T + self.y_trim
 

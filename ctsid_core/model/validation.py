@@ -21,9 +21,9 @@ from ctsid_core.model.predictor import Stream, filter_states, predictor_gain, sp
 from ctsid_core.model.simulation import free_response, input_polynomials, respond
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.whiteness import independence, whiteness
+from ctsid_core.signals.actuators import acting
 from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, channel_slices
-from ctsid_core.signals.timeouts import acting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
 
 def _respond(model: StateSpace, record: Record, times: Array) -> tuple[Array, Array]:
     # Outputs of a bounded solution of the model, and its state at times[0]
-    x, u = respond(model.A, model.B, model.x_trim, acting(record.inputs, model.timeout),
+    x, u = respond(model.A, model.B, model.x_trim, acting(record.inputs, model.actuators),
                    model.delay, times, None)
     with np.errstate(over='ignore', invalid='ignore'):
         y = x @ model.C.T + u @ model.D.T + model.y_trim
@@ -276,7 +276,7 @@ def residual_tests(model: StateSpace, record: Record, *,
         prediction(model, record, 1)
     size, slowest = spread(found.y), float(min(model.natural_frequency, default=np.inf))
     memory = 3 / slowest if slowest > 0 else np.inf
-    inputs = acting(record.inputs, model.timeout)
+    inputs = acting(record.inputs, model.actuators)
     white, independent = [], []
     for i in range(model.ny):
         e = found.y[:, i] - found.y_hat[:, i]

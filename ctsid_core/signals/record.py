@@ -122,6 +122,8 @@ class Record:
         model of it is WEAK at most.
     part_of : Record, optional
         The record that it is a part of, between its pauses.
+    sent : tuple of Signal
+        The inputs as they were sent, where what acts of them is another.
     """
 
     inputs: tuple[Signal, ...]
@@ -131,6 +133,7 @@ class Record:
     epoch_ns: int = 0
     faults: tuple[str, ...] = ()
     part_of: Record | None = None
+    sent: tuple[Signal, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -214,6 +217,11 @@ class Record:
     def output_units(self) -> tuple[str, ...]:
         """Units of the output channels; '' where none were given."""
         return tuple(unit for s in self.outputs for unit in s.units or ('',) * s.width)
+
+    @property
+    def commands(self) -> tuple[Signal, ...]:
+        """The inputs as they were sent."""
+        return self.sent or self.inputs
 
     def known_from(self, delay: Sequence[float]) -> float:
         """Return when all that acts is known: dead times (nu,) after inputs' first values [s]."""

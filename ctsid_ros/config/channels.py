@@ -11,7 +11,15 @@ import re
 from typing import Literal
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.settings import HOLDS, Hold, Settings, parameter, parameter_name, value_faults
+from ctsid_core.settings import (
+    HOLDS,
+    LARGEST_INPUT,
+    Hold,
+    Settings,
+    parameter,
+    parameter_name,
+    value_faults,
+)
 from ctsid_ros.config.node_settings import NODE_KEYS, NodeSettings
 from ctsid_ros.decoding.field_path import FieldPath, ParseError, parse_field
 
@@ -31,7 +39,8 @@ class Channel:
 
     Parameters
     ----------
-    name, role, topic, type, field, unit, hold, stamp, delay, timeout, turn
+    name, role, topic, type, field, unit, hold, stamp, delay, timeout, dead_zone, limit, backlash,
+    rate_limit, turn
         See the sentences of the declaration. `hold='auto'` becomes 'zoh' for an input and
         'smooth' for an output.
 
@@ -74,6 +83,27 @@ class Channel:
         unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
         when='Set it to the timeout of the driver (cmd_vel_timeout), or to 0.0 where the last '
         'command goes on.')
+    dead_zone: float | str = parameter(
+        'auto', 'How much of this input, if it is held, moves nothing, from 0 on; 0.0: none; '
+        'auto: found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',),
+        structural=True,
+        when='Set it to the dead band of the driver, or to 0.0 where small commands act.')
+    limit: float | str = parameter(
+        'auto', 'How much of this input, if it is held, acts at most, of either sign; 0.0: all '
+        'of it; auto: found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',),
+        structural=True,
+        when='Set it to the limit of the driver or motor (max_velocity), or to 0.0 where large '
+        'commands act.')
+    backlash: float | str = parameter(
+        'auto', 'Play between this input, if it is held, and what it moves; 0.0: none; auto: '
+        'found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',), structural=True,
+        when='Set it to 0.0 where there is no gear.')
+    rate_limit: float | str = parameter(
+        'auto', 'How fast what acts of this input, if it is held, changes at most, in its unit '
+        'per second; 0.0: at once; auto: found from the data.', low=0.0, high=LARGEST_INPUT,
+        words=('auto',), structural=True,
+        when='Set it to the limit of the driver (max_acceleration of a velocity), or to 0.0 where '
+        'commands act at once.')
     turn: float = parameter(
         0.0, 'A full turn, of an angle that wraps: of two neighbours the second is moved by as '
         'many turns as bring it nearest to the first; 0.0 leaves the values as they are. Angles '
@@ -134,7 +164,9 @@ class Channel:
 
 
 # Settings that each input has of its own
-OF_INPUTS = {'delay': 'dead time belongs', 'timeout': 'timeouts belong'}
+OF_INPUTS = {'delay': 'dead time belongs', 'timeout': 'timeouts belong',
+             'dead_zone': 'dead zones belong', 'limit': 'limits belong',
+             'backlash': 'backlash belongs', 'rate_limit': 'rate limits belong'}
 CHANNEL_KEYS = {parameter_name(declared): declared for declared in fields(Channel)
                 if declared.name not in ('name', 'role')}
 
@@ -149,8 +181,8 @@ class Config:
     channels : tuple of Channel
         At least one input and one output; names differ. Inputs are put first.
     settings : Settings
-        Its `delay` and `timeout` are composed from those of the input channels; leave them at
-        'auto'.
+        Its `delay` and what lies before inputs are composed from those of the input channels;
+        leave them at 'auto'.
     node : NodeSettings
         What only the node reads.
 
@@ -210,7 +242,7 @@ class Config:
 
     def with_channels(self, channels: Sequence[Channel]) -> Config:
         """Return a copy that has these channels; raises like `Config`."""
-        return Config(tuple(channels), self.settings.replace(delay='auto', timeout='auto'),
+        return Config(tuple(channels), self.settings.replace(**dict.fromkeys(OF_INPUTS, 'auto')),
                       self.node)
 
 

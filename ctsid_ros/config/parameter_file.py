@@ -116,8 +116,8 @@ def with_parameters(config: Config, changes: Sequence[str]) -> Config:
     """
     Return a config with other values of some parameters, each as `name=value`, names dotted.
 
-    One `delay` or `timeout` for all, or for each input in turn, takes the place of those of the
-    channels.
+    One `delay` for all, or for each input in turn, takes the place of those of the channels, and
+    so does what else each input has of its own (`OF_INPUTS`).
 
     Raises
     ------

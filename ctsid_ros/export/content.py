@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import EQUATIONS
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.signals.timeouts import in_words
+from ctsid_core.signals.actuators import in_words
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,8 @@ class Content:
         yield comment(EQUATIONS)
         yield from channel_lines('input', model.input_names, model.input_units)
         yield from channel_lines('output', model.output_names, model.output_units)
-        for words in in_words(named(model.input_names, 'u'), model.timeout):
+        for words in in_words(named(model.input_names, 'u'), model.actuators,
+                              model.input_units):
             yield comment(f'{words}; this is not in the equations')
 
 

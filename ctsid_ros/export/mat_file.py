@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ctsid_core.model.model_json import EQUATIONS
+from ctsid_core.settings import Actuator
 from ctsid_ros.export.content import Content, named
 
 
@@ -17,9 +18,10 @@ def mat_bytes(content: Content) -> bytes:
     """
     Return the contents of the file, level 5.
 
-    Variables: A, B, C, D, K, delay, timeout, x_trim, y_trim, noise, poles, pole_std, names and
-    units of inputs and outputs (cells), covariance (of the entries of A, B, C, D, row by row, and
-    the dead times), fit, verdict, reason, equations. What is not known is empty.
+    Variables: A, B, C, D, K, delay, timeout, dead_zone, limit, backlash, rate_limit, x_trim,
+    y_trim, noise, poles, pole_std, names and units of inputs and outputs (cells), covariance (of
+    the entries of A, B, C, D, row by row, and the dead times), fit, verdict, reason, equations.
+    What is not known is empty.
     """
     from scipy.io import savemat
 
@@ -28,7 +30,8 @@ def mat_bytes(content: Content) -> bytes:
     variables: dict[str, Any] = {
         **{name: getattr(model, name) for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim',
                                                    'poles')},
-        'delay': np.array(model.delay), 'timeout': np.array(model.timeout),
+        'delay': np.array(model.delay), **{kind: np.array(
+            [getattr(own, kind) for own in model.actuators]) for kind in Actuator._fields},
         'covariance': root.T @ root,
         'noise': np.empty((0, 0)) if model.noise is None else model.noise,
         'pole_std': estimate.pole_std, 'fit': estimate.fit,

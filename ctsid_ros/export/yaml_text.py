@@ -18,10 +18,10 @@ def yaml_document(content: Content) -> str:
         'origin': content.origin, 'verdict': content.grade, 'reason': estimate.verdict.reason,
         'equations': EQUATIONS,
         'inputs': [{'name': name, 'unit': unit, 'delay': delay,
-                    **({'timeout': timeout} if timeout else {})}
-                   for name, unit, delay, timeout in zip(
+                    **{kind: value for kind, value in own._asdict().items() if value}}
+                   for name, unit, delay, own in zip(
                        named(model.input_names, 'u'), model.input_units, model.delay,
-                       model.timeout, strict=True)],
+                       model.actuators, strict=True)],
         'outputs': [{'name': name, 'unit': unit} for name, unit in zip(
             named(model.output_names, 'y'), model.output_units, strict=True)],
         **{name: getattr(model, name).tolist()

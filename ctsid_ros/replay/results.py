@@ -144,7 +144,7 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
     StorageError
         If it names none, or they are not valid.
     """
-    from ctsid_ros.config.channels import Channel, Config
+    from ctsid_ros.config.channels import OF_INPUTS, Channel, Config
 
     listed = metadata.get('channels')
     if not isinstance(listed, list) or not listed:
@@ -152,7 +152,7 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
                            'them with --params')
     try:
         return Config(tuple(Channel(**channel) for channel in listed),
-                      settings.replace(delay='auto', timeout='auto'))
+                      settings.replace(**dict.fromkeys(OF_INPUTS, 'auto')))
     except (TypeError, SettingsError) as error:
         raise StorageError(f'{path}: `metadata.channels` is not usable ({error}); give --params'
                            ) from error

@@ -16,9 +16,9 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction
 from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.settings import Settings
+from ctsid_core.signals.actuators import as_acting
 from ctsid_core.signals.record import Record
 from ctsid_core.signals.samples import GroupCounts
-from ctsid_core.signals.timeouts import as_acting
 from ctsid_ros.ingest.counts import IngestCounts
 from ctsid_ros.replay.along import change_of
 from ctsid_ros.report.document import Figure, Gallery, Section
@@ -102,7 +102,7 @@ def response_sections(models: Models, shown: Shown | None = None,
     """Yield Bode diagrams, with spectra where there is a record, step responses, and poles."""
     first = next(iter(models.values()))[0]
     bands, words = _bands(first, shown, estimate)
-    seen = None if shown is None else spectra(as_acting(shown.record, shown.model.timeout))
+    seen = None if shown is None else spectra(as_acting(shown.record, shown.model.actuators))
     if seen is not None:
         words += ['Dots: the response as spectra of inputs and outputs give it, without a model, '
                   'where the coherence is above 0.3; in a closed loop it is biased. Coherence: '

@@ -14,8 +14,8 @@ from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation
 from ctsid_core.settings import Settings
+from ctsid_core.signals.actuators import as_acting
 from ctsid_core.signals.record import Record, Signal, channel_slices
-from ctsid_core.signals.timeouts import as_acting
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import RED, Axes, Curve, Drawing, Span
 from ctsid_ros.report.tables import label, percent
@@ -68,7 +68,7 @@ def output_figures(model: StateSpace, record: Record, parts: Sequence[Part], off
     marks : sequence of (float, str)
         Times that are marked, in the time of the record [s].
     """
-    inputs = input_axes(as_acting(record, model.timeout), offset, model.input_names,
+    inputs = input_axes(as_acting(record, model.actuators), offset, model.input_names,
                         model.input_units)
     spoilt = corrupt_outputs(record, settings)
     seen = [Span(float(p.found.times[0]) + offset, float(p.found.times[-1]) + offset, 4, p.what)

@@ -12,8 +12,8 @@ from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, predictions
 from ctsid_core.model.whiteness import LAGS, cell
+from ctsid_core.signals.actuators import acting
 from ctsid_core.signals.record import Record
-from ctsid_core.signals.timeouts import acting
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 
@@ -66,7 +66,7 @@ def _inputs(model: StateSpace, record: Record, times: Array, e: Array) -> list[A
     cells = np.rint((times - times[0]) / step).astype(int)
     count = int(cells[-1]) + 1
     binned = np.bincount(cells, e - e.mean(), count)
-    u = input_polynomials(acting(record.inputs, model.timeout), model.delay,
+    u = input_polynomials(acting(record.inputs, model.actuators), model.delay,
                           times[0] + step * np.arange(count))[0]
     lags = min(_CELLS, count // 4)
     axes = []

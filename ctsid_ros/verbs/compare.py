@@ -283,7 +283,8 @@ def compare(record: Record, settings: Settings, advance: Advance = silent) -> li
                                agreement(first, estimate, method) if first else None, seconds,
                                part))
         if first is None and model is not None:
-            first, settings = estimate, settings.replace(delay=model.delay, timeout=model.timeout)
+            first, settings = estimate, settings.replace(delay=model.delay).with_actuators(
+                model.actuators)
     return found
 
 
@@ -315,7 +316,7 @@ def compare_orders(record: Record, settings: Settings, found: Sequence[Contender
     highest = max(settings.max_order, lead.model.n)
     orders = wanted or range(1, min(lead.model.n + _ABOVE, highest) + 1)
     settings = settings.replace(method=lead.name, delay=lead.model.delay,
-                                timeout=lead.model.timeout, cross_check=UNCHECKED)
+                                cross_check=UNCHECKED).with_actuators(lead.model.actuators)
     tried = {}
     for k, order in enumerate(orders):
         advance(0.6 + 0.4 * k / len(orders), f'order {order}')

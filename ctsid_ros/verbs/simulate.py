@@ -222,7 +222,7 @@ def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: B
 
 def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...]
               ) -> list[Section]:
-    from ctsid_core.signals.timeouts import in_words
+    from ctsid_core.signals.actuators import in_words
     from ctsid_ros.report.sections import channel_section, complaint_section
 
     columns: dict[str, Array] = {
@@ -240,7 +240,8 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
     title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
     return [Section(title, (Table(('output', *columns), rows, ('output',)), _trim(args.trim))),
             channel_section(outcome.data, delays=delays), complaint_section((
-                *notes, *in_words(outcome.model.input_names, outcome.model.timeout)))]
+                *notes, *in_words(outcome.model.input_names, outcome.model.actuators,
+                                  outcome.model.input_units)))]
 
 
 def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,

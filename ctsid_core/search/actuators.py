@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Actuators that stop, ignore, limit or drag a command: a number for which no linear states stand in.
+
+Drivers stop a robot that hears no more, clip and ramp what they are sent; small commands do not
+overcome friction; gears have play. A linear model takes that for other poles and gains, which hold
+for motions of one size. With the command as it acts the plant behind may be linear, with fewer
+states, and the likelihood tells which it is, and of what size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from ctsid_core.bases.records import Joint
+from ctsid_core.likelihood.output_error import Fit, Fitted, Free, climb_roughly, fit_at
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.estimate import Choice
+from ctsid_core.search.by_order import SEARCHED
+from ctsid_core.search.solution import DISTURBED, TIMEOUT, Doubt, Solution
+from ctsid_core.search.task import free_of, own_delays, samples_of_part
+from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, roughly, tried
+from ctsid_core.settings import Actuator, Settings
+from ctsid_core.signals.actuators import behind, in_words
+from ctsid_core.signals.gaps import silent_between
+from ctsid_core.signals.record import Signal, channel_slices
+
+APART = 0.1           # of a timeout: nearer to what is given is no doubt
+_SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
+_VALUES = {           # to begin with: of a timeout [s], ...
+    'timeout': (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0),
+    # ... of the largest command, and of the range of all
+    'dead_zone': (0.05, 0.1, 0.2, 0.35, 0.5), 'limit': (0.9, 0.75, 0.6, 0.45, 0.3, 0.2),
+    'backlash': (0.05, 0.1, 0.2, 0.35), 'rate_limit': ()}
+_RATES, _SLOWEST, _FASTEST = 9, 8.0, 0.9    # so many rates, from 8 deviations of the command over
+                                            # the length to this part of its fastest change
+_NEAR = 1.8           # times one of these, at most, is what is nearest to it
+_CLOSELY = 0.003      # it is looked for no more closely
+_STARTS = 3           # pairs of poles that it is looked for with, too
+_SOONER = 0.5         # times the dead time: of what is sent it may stand for what drags
+_SCREENED = 400       # samples of a stream that all numbers are compared on, ...
+_STEPS = 3            # after so many steps of a climb, ...
+_BEST = 2             # and the best of each kind climb
+_ROUNDS = 6           # as often it is looked for, unless it stays as it is ...
+_ALIKE = 0.005        # ... to this part of it
+_ASKED = 'whether actuators stop, limit or drag what inputs are sent'
+
+_Start = tuple[ComplexArray, Array]     # poles and dead times
+_Acting = dict[int, Actuator]           # of moving inputs, by their places
+
+
+def of_actuators(solution: Solution, sent: Joint, settings: Settings,
+                 again: Callable[[Settings, bool], Solution | None]) -> Solution:
+    """
+    Return the model of inputs as they act, where that explains clearly more.
+
+    `again` identifies the records, which `sent` has as they were sent, with other settings. A
+    timeout that was given and is another one, or that no model confirms, is a doubt.
+    """
+    part = sent.parts[0]
+    whole, u = part.whole, solution.part.parts[0].u
+    if solution.refit or part.u != u:
+        return solution
+    given = settings.actuators(whole.nu)
+    best, acting, first = solution, {k: given[j] for k, j in enumerate(u)}, _Acting()
+    for _ in range(_ROUNDS):
+        with suppress(np.linalg.LinAlgError):
+            seen = _likeliest(solution, best, sent, settings, acting)
+        first = first or seen
+        if _alike(seen, acting):
+            break
+        each = list(given)
+        for k, j in enumerate(u):
+            each[j] = Actuator(*(own if settings.unknown_actuators(kind, whole.nu)[j] else known
+                                 for kind, own, known in zip(
+                                     Actuator._fields, seen[k], given[j], strict=True)))
+        other = again(settings.with_actuators(each), False)
+        if other is None or not _explains_more(other, best, _count(seen) - _count(acting)):
+            break
+        best, acting = other, {k: each[j] for k, j in enumerate(u)}
+        if other.part.parts[0].u != u:      # one that acts as it is silent
+            break
+    doubts = (_doubt(whole.input_names, j, first[k].timeout) for k, j in enumerate(u)
+              if k in first and abs(first[k].timeout - acting[k].timeout) >
+              APART * first[k].timeout)
+    return replace(best, doubt=next(doubts, best.doubt))
+
+
+def with_choices(solution: Solution, settings: Settings) -> Solution:
+    """Return the solution with what was found to lie before inputs told."""
+    whole = solution.part.parts[0].whole
+    told = [Actuator(*(0.0 if known else value for known, value in zip(given, own, strict=True)))
+            for given, own in zip(settings.actuators(whole.nu),
+                                  solution.settings.actuators(whole.nu), strict=True)]
+    return replace(
+        solution,
+        notes=(*solution.notes, *in_words(whole.input_names, told, whole.input_units)),
+        choices=(*solution.choices, *(
+            Choice(kind, float(f'{value:.4g}'), f'of input {name}: what so acts of it explains '
+                   'more') for name, own in zip(whole.input_names, told, strict=True)
+            for kind, value in own._asdict().items() if value)))
+
+
+def _doubt(names: Sequence[str], place: int, seconds: float) -> Doubt:
+    name = names[place]
+    return (f'input {name} acts as if it were 0 from about {seconds:.2g} s after a message on, '
+            'while it is silent: a timeout seems to stop the robot, or messages were lost',
+            f'{name.partition("[")[0]}{TIMEOUT}{seconds:.2g}')
+
+
+def _explains_more(one: Solution, other: Solution, numbers: int) -> bool:
+    """Return whether a model of inputs that act with so many more numbers is to be taken."""
+    if one.simulated is None:
+        return False
+    if other.simulated is None:
+        return tried(*one.simulated).unexplained < DISTURBED
+    # Where inputs drift, what acts has to explain more than that.
+    rival = tried(*(other.drifting or other.simulated))
+    return _gain(tried(*one.simulated), rival, numbers) > (_SURELY if numbers else 0.0)
+
+
+def _gain(one: Tried, other: Tried, numbers: int) -> float:
+    """Return by how much a model of what acts is likelier than another, at the price of it."""
+    # Where it is right its errors are as independent as they seem.
+    n_eff = np.maximum(one.independent, 2.0)
+    ratio = np.log(np.maximum(other.power, 1e-24) / np.maximum(one.power, 1e-24))
+    return float(n_eff @ ratio) + float(np.log(n_eff.max())) * (
+        other.parameters - one.parameters - numbers)
+
+
+def _count(acting: _Acting) -> int:
+    return sum(value > 0.0 for own in acting.values() for value in own)
+
+
+def _alike(one: _Acting, other: _Acting) -> bool:
+    return all(np.allclose(one[k], other[k], rtol=_ALIKE, atol=0.0) for k in other)
+
+
+@dataclass(frozen=True, eq=False)
+class _Commands:
+    """Samples whose inputs, each a signal of its own, may act otherwise than they were sent."""
+
+    samples: Samples
+    levels: Sequence[Array]     # that were taken off the inputs of each record, (nu,)
+    free: Free
+    made: dict[tuple[int, int, Actuator], Signal] = field(default_factory=dict)
+
+    def acting(self, actuators: Mapping[int, Actuator]) -> Samples:
+        """Return the samples with inputs as they act."""
+        return replace(self.samples, records=tuple(
+            replace(r, inputs=tuple(self._acting(number, k, actuators[k])
+                                    for k in range(len(r.inputs))))
+            for number, r in enumerate(self.samples.records)))
+
+    def _acting(self, record: int, channel: int, own: Actuator) -> Signal:
+        signal = self.samples.records[record].inputs[channel]
+        if not any(own):
+            return signal
+        if (record, channel, own) not in self.made:
+            self.made[record, channel, own] = behind(
+                signal, own, float(self.levels[record][channel]))
+        return self.made[record, channel, own]
+
+    def at(self, actuators: Mapping[int, Actuator], start: _Start,
+           near: Fit | None = None) -> Fit | None:
+        """Return the model with some poles and dead times, if there is one."""
+        with suppress(np.linalg.LinAlgError):
+            return fit_at(self.acting(actuators), *start, self.free, near, slopes=False)
+        return None
+
+    def climbed(self, actuators: Mapping[int, Actuator], starts: Sequence[_Start]) -> Fit | None:
+        """Return what the best of some starts leads to in a few steps."""
+        fits = [one for start in starts if (one := self.at(actuators, start)) is not None]
+        return climb_roughly(self.acting(actuators), min(fits, key=lambda f: f.cost), self.free,
+                             steps=_STEPS) if fits else None
+
+    def reached(self, actuators: Mapping[int, Actuator], starts: Sequence[_Start]) -> Tried | None:
+        """Return the best of what some starts lead to."""
+        samples, found = self.acting(actuators), list[Tried]()
+        for start in starts:
+            with suppress(np.linalg.LinAlgError):
+                found.append(roughly(samples, *start, self.free))
+        return min(found, key=lambda one: one.fit.cost, default=None)
+
+    def values(self, channel: int, kind: str) -> list[float]:
+        """Return numbers to begin with."""
+        inputs = [(r.inputs[channel], r.inputs[channel].values[:, 0] + level[channel])
+                  for r, level in zip(self.samples.records, self.levels, strict=True)]
+        u = np.concatenate([u for _, u in inputs])
+        if kind == 'rate_limit':
+            steps = [np.max(np.abs(np.diff(u)), initial=0.0) / s.period for s, u in inputs]
+            slow = _SLOWEST * float(np.std(u)) / self.samples.length
+            return list(np.geomspace(slow, max(_FASTEST * max(steps), slow), _RATES).tolist())
+        size = 1.0 if kind == 'timeout' else float(
+            np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
+        return [share * size for share in _VALUES[kind]]
+
+    def silent(self, channel: int) -> bool:
+        """Return whether an input that is held is silent, and not at rest."""
+        return any(np.any(silent_between(r.inputs[channel], *r.span, -level[channel]))
+                   for r, level in zip(self.samples.records, self.levels, strict=True))
+
+
+def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Settings,
+               acting: _Acting) -> _Acting:
+    """Return what most likely lies before inputs, given the records as they were sent, a model."""
+    effort = solution.samples.effort
+    samples, fit, free = _simulation(solution, sent, settings)
+    _, fit, free = model.simulated or (samples, fit, free)
+    thin = samples.thinned(SEARCHED, scattered=True)
+    commands = _Commands(
+        replace(thin, records=tuple(replace(r, inputs=tuple(
+            s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
+        [p.u_level for p in sent.parts], free)
+    silent = {k for k in acting if commands.silent(k)}
+    little = model.simulated is not None and tried(*model.simulated).unexplained < ENOUGH
+    if little and not silent or effort.leaves_out(_ASKED, SEARCH):
+        return acting
+    sought = [(channels, kind) for channels, kind in _sought(sent, settings)
+              if silent.intersection(channels) or kind != 'timeout' and not little]
+    starts = [(fit.model.poles, fit.model.delay),
+              *((one.poles, one.delay) for one, _ in model.smaller),
+              *_starts(thin, free, fit.model.delay)]
+    screen = replace(commands, samples=commands.samples.thinned(_SCREENED), made={})
+    own = commands.reached(acting, starts[:1])
+    while own is not None:
+        own, acting = _nearer(commands, own, acting, sought)
+        best = _next(commands, screen, acting, sought, starts)
+        if best is None or _gain(best[0], own, 1) < _SURELY or effort.beyond(SEARCH):
+            break
+        own, acting = best
+        starts[0] = own.fit.model.poles, own.fit.model.delay
+    return acting
+
+
+def _sought(sent: Joint, settings: Settings) -> Iterator[tuple[tuple[int, ...], str]]:
+    """Yield inputs that are held, those of the same messages together, and what may be theirs."""
+    part = sent.parts[0]
+    nu, inputs = part.whole.nu, part.record.inputs
+    for signal, channels in zip(inputs, channel_slices(inputs), strict=True):
+        places = range(channels.start, channels.stop)
+        if signal.hold != 'zoh' or len(signal.time) < 3:
+            continue
+        yield tuple(places), 'timeout'
+        for kind in Actuator._fields[1:]:
+            unknown = settings.unknown_actuators(kind, nu)
+            yield from (((k,), kind) for k in places if unknown[part.u[k]])
+
+
+def _next(commands: _Commands, screen: _Commands, acting: _Acting,
+          sought: Sequence[tuple[tuple[int, ...], str]],
+          starts: Sequence[_Start]) -> tuple[Tried, _Acting] | None:
+    """Return what most likely lies before an input, too, and the model with it."""
+    found = list[tuple[Tried, _Acting]]()
+    for channels, kind in sought:
+        own = acting[channels[0]]
+        if getattr(own, kind) or kind != 'timeout' and any(own[1:]):    # one of them at most
+            continue
+        near = []
+        for value in screen.values(channels[0], kind):
+            other = _with(acting, channels, kind, value)
+            if (one := screen.climbed(other, starts)) is not None:
+                near.append((one.cost, other, one))
+        for _, other, one in sorted(near, key=lambda n: n[0])[:_BEST]:
+            best = commands.reached(other, (starts[0], (one.model.poles, one.model.delay)))
+            if best is not None:
+                found.append((best, other))
+    return min(found, key=lambda one: one[0].fit.cost, default=None)
+
+
+def _with(acting: _Acting, channels: Sequence[int], kind: str, value: float) -> _Acting:
+    return acting | {k: acting[k]._replace(**{kind: value}) for k in channels}
+
+
+def _nearer(commands: _Commands, own: Tried, acting: _Acting,
+            sought: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, _Acting]:
+    """Return the same with the numbers that are likeliest, and the model with them."""
+    unknown = [(channels, kind) for channels, kind in sought if getattr(acting[channels[0]], kind)]
+    for channels, kind in 2 * unknown:
+        near, value = own.fit, getattr(acting[channels[0]], kind)
+
+        def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,
+                 near: Fit = near, acting: _Acting = acting) -> float:
+            one = commands.at(_with(acting, channels, kind, value),
+                              (near.model.poles, near.model.delay), near)
+            return np.inf if one is None else one.cost
+        best = minimize_scalar(cost, method='bounded', bounds=(value / _NEAR, value * _NEAR),
+                               options={'xatol': _CLOSELY * value})
+        if not best.fun < near.cost:
+            continue
+        other = _with(acting, channels, kind, float(best.x))
+        one = commands.reached(other, [(near.model.poles, near.model.delay)])
+        if one is not None:
+            own, acting = one, other
+    return own, acting
+
+
+def _starts(samples: Samples, free: Free, delay: Array) -> Iterator[_Start]:
+    """Yield what to begin with: poles of what is sent may be far from those of what acts."""
+    soon = np.where(free.delays, _SOONER * delay, delay)
+    for size in np.geomspace(10.0 / samples.length, 0.25 * free.fastest, _STARTS):
+        yield np.array([size * (-0.6 + 0.8j)]), soon
+
+
+def _simulation(solution: Solution, sent: Joint, settings: Settings) -> Fitted:
+    """Return what simulates; of a plant that only predicts, which a timeout may feign, a lag."""
+    samples = samples_of_part(sent, solution.samples.effort)
+    if solution.simulated is not None:
+        return samples, *solution.simulated[1:]
+    free = replace(free_of(samples, own_delays(solution.part, settings)), feedthrough=False)
+    return samples, fit_at(samples, np.array([-free.fastest ** 0.5 + 0j]), solution.delay,
+                           free, slopes=False), free
