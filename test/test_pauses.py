@@ -286,6 +286,49 @@ def test_a_window_knows_of_silence_that_begins_before_it():
     assert off(found) < 0.02
 
 
+def windows(given: Record, length: float = 10.0) -> list[Record]:
+    return [given.between(a, a + length) for a in np.arange(0.0, given.end - length, 5.0)]
+
+
+@pytest.mark.parametrize(('seed', 'last'), [(5, 3), *slow((8, 7))])
+def test_a_window_with_few_silences_takes_the_timeout_of_those_before(seed, last):
+    """Of 180 windows 24 were not GOOD where the timeout was looked for in each alone."""
+    settings = Settings(budget=4.0)
+    taken, joined, few = Tracker(settings), Tracker(settings), 0
+    for window in windows(commanded(seed, 0.5))[:last]:
+        alone = identify(window, settings)
+        few += not alone.good
+        found = taken.take(window).estimate
+        assert found.good, found.verdict.reason
+        assert found.model.timeout == pytest.approx((0.5,), rel=0.1)
+        assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.05)
+        assert (found.model.timeout == alone.model.timeout if alone.good and any(
+            alone.model.timeout) else any('as in windows before' in n for n in found.notes))
+        assert found.settings.budget == settings.budget
+        other = joined.join(window, alone).estimate
+        assert (other.model, other.settings) == (found.model, found.settings)
+    assert few
+
+
+def test_a_window_without_silence_keeps_the_timeout_of_those_before():
+    tracker, given = Tracker(), commanded(5, 0.5)
+    tracker.take(given)
+    own = moved(5)
+    without = replace(recorded(*own), epoch_ns=given.epoch_ns + round(1e11))
+    assert identify(without).model.timeout == (0.0,)
+    found = tracker.take(without).estimate
+    assert found.model.timeout == pytest.approx((0.5,), rel=0.02)
+    assert found.fit == identify(without).fit
+
+
+def test_a_timeout_that_is_no_more_is_forgotten():
+    tracker, holds = Tracker(), commanded(6, None, duration=30.0)
+    tracker.take(commanded(5, 0.5))
+    for k in (1, 2):
+        later = replace(holds, epoch_ns=holds.epoch_ns + round(k * 1e11))
+        assert tracker.take(later).estimate.model.timeout == (0.0,)
+
+
 @pytest.mark.parametrize(('timeout', 'told'), [(0.0, True), (1.0, True), (0.52, False)])
 def test_another_timeout_than_is_given_is_told(timeout, told):
     found = identify(commanded(5, 0.5), Settings(timeout=timeout))
