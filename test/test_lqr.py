@@ -238,6 +238,13 @@ def test_weak_loop_is_refused():
     assert 'disc margin of' in found.verdict
 
 
+def test_a_timeout_is_said():
+    found = design(replace(ROLL, timeout=(0.5,)), SURE, WEIGHTS)
+    assert found.gains is not None
+    assert found.verdict.endswith('more often than every 0.5 s, for it counts as 0 from then on.')
+    assert 'more often' not in design(ROLL, SURE, WEIGHTS).verdict
+
+
 def test_dead_time_is_handled_said_and_refused_when_it_is_too_long():
     margins = []
     for delay in (0.0, 0.005, 0.02):

@@ -379,7 +379,8 @@ def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
     """Of windows one with a gain, one whose outputs move on, one without a model."""
     names = {'input_names': ('rudder', 'flap'), 'output_names': ('yaw',)}
     known = {'status': Status.OK, 'settings': Settings(), 'pole_std': np.array([0.1])}
-    settles, moves = (StateSpace([[pole]], [[3.0, 1.0]], [[1.0]], delay=(0.25, 0.0), **names)
+    settles, moves = (StateSpace([[pole]], [[3.0, 1.0]], [[1.0]], delay=(0.25, 0.0), timeout=(0.0, 0.5),
+                                **names)
                       for pole in (-2.0, 0.0))
     root = np.zeros((1, Covariance.entry_count(1, 2, 1)))
     root[0, 1], root[0, -2] = 0.2, 0.01                 # of the first input: B and the dead time
@@ -390,6 +391,8 @@ def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
         rows = list(csv.DictReader(stream))
     assert [row['delay_rudder [s]'] for row in rows] == ['0.25', '0.25', '']
     assert [row['delay_std_rudder [s]'] for row in rows] == ['0.01', '', '']
+    assert [row['timeout_rudder [s]'] for row in rows] == ['0.0', '0.0', '']
+    assert [row['timeout_flap [s]'] for row in rows] == ['0.5', '0.5', '']
     assert [row['gain_yaw/rudder'] for row in rows] == ['1.5', '', '']
     assert [row['gain_yaw/flap'] for row in rows] == ['0.5', '', '']
     assert [row['rate_gain_yaw/rudder'] for row in rows] == ['', '3.0', '']

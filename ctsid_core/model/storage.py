@@ -38,6 +38,7 @@ SERIES_FORMAT = 'ctsid-series'
 SERIES_VERSION = 1
 PER_POLE = ('re [rad/s]', 'im [rad/s]', 'std [rad/s]', 'natural_frequency [rad/s]',
             'natural_frequency_std [rad/s]', 'damping', 'damping_std')
+PER_INPUT = ('delay', 'delay_std', 'timeout')
 PER_PAIR = ('gain', 'gain_std', 'rate_gain', 'rate_gain_std')       # of an output and an input
 
 
@@ -166,7 +167,7 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(('start_ns', 'end_ns', 'status', 'verdict', 'order',
                      *(f'pole{k + 1}_{what}' for k in range(order) for what in PER_POLE),
-                     *(f'delay{more}_{name} [s]' for more in ('', '_std') for name in inputs),
+                     *(f'{what}_{name} [s]' for what in PER_INPUT for name in inputs),
                      *(f'{what}_{pair}' for what in PER_PAIR for pair in pairs),
                      *(f'fit_{name} [%]' for name in outputs),
                      *(f'held_out_fit_{name} [%]' for name in outputs), *columns))
@@ -197,10 +198,10 @@ def _pole_cells(estimate: Estimate, order: int) -> Array:
 
 
 def _input_cells(estimate: Estimate, ny: int, nu: int) -> Array:
-    """Return dead times and their deviations, and what `PER_PAIR` says; NaN what is not known."""
-    m, times, found = estimate.model, np.full((2, nu), np.nan), np.full((4, ny, nu), np.nan)
+    """Return what `PER_INPUT` and `PER_PAIR` say; NaN what is not known."""
+    m, times, found = estimate.model, np.full((3, nu), np.nan), np.full((4, ny, nu), np.nan)
     if m is not None:
-        times[:] = m.delay, estimate.delay_std
+        times[:] = m.delay, estimate.delay_std, m.timeout
         if known := gains(m, estimate.covariance):
             for k, rate in enumerate((False, True)):
                 found[2 * k:2 * k + 2] = np.where(
@@ -229,8 +230,8 @@ def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
                  'singular_values'):
         arrays[name] = _stacked([getattr(e, name) for e in estimates])
     models = [e.model for e in estimates]
-    for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'poles',
-                 'natural_frequency', 'damping'):
+    for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'timeout',
+                 'poles', 'natural_frequency', 'damping'):
         rank = 2 if name in 'ABCDK' else 1
         arrays[name] = _stacked([np.asarray(getattr(m, name)) if m else np.empty((0,) * rank)
                                  for m in models])

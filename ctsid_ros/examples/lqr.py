@@ -158,7 +158,7 @@ def design(model: StateSpace, pole_std: Array, weights: Weights, least_margin: f
                       f'is {least_margin:g}.', margin, worst)
     worst = min(worst, margin)
     return Design(gains, f'Accepted: disc margin {margin:.2f}, {worst:.2f} at worst with poles '
-                  f'within {DEVIATIONS:g} standard deviations{_late(model)}.', margin, worst)
+                  f'within {DEVIATIONS:g} standard deviations{_late(model)}{_stops(model)}.', margin, worst)
 
 
 def compute_gains(model: StateSpace, weights: Weights) -> Gains:
@@ -199,6 +199,12 @@ def _noise(model: StateSpace) -> Array:
 def _late(model: StateSpace) -> str:
     late = max(model.delay, default=0.0)
     return f'; the dead time of {late:g} s was approximated in the design' if late else ''
+
+
+def _stops(model: StateSpace) -> str:
+    return ''.join(f'; send {name} more often than every {seconds:.2g} s, for it counts as 0 from '
+                   'then on' for name, seconds in zip(
+                       model.input_names or 'u' * model.nu, model.timeout, strict=True) if seconds)
 
 
 def _check(model: StateSpace, pole_std: Array, weights: Weights) -> None:

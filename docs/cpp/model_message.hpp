@@ -27,6 +27,7 @@ struct Model
   std::vector<std::string> inputs, outputs;
   Matrix A, B, C, D, K;  // empty if REJECT
   std::vector<double> x_trim, y_trim, delay;  // delay: of each input [s]
+  std::vector<double> timeout;  // each input counts as 0 so long after a message [s]; 0: never
   std::vector<std::complex<double>> poles;  // [rad/s]
   std::vector<double> pole_std, fit, held_out_fit, fresh_fit;  // NaN: not known
   std::int64_t realisation = 0;  // another number: states begin anew
@@ -96,6 +97,7 @@ inline Model decode(const std::string & text)
     found.x_trim = model.at("x_trim").get<std::vector<double>>();
     found.y_trim = model.at("y_trim").get<std::vector<double>>();
     found.delay = model.at("delay").get<std::vector<double>>();
+    found.timeout = model.value("timeout", std::vector<double>(found.delay.size(), 0.0));
     for (const auto & pole : model.at("poles")) {
       found.poles.emplace_back(number(pole.at("re")), number(pole.at("im")));
     }
