@@ -379,8 +379,8 @@ def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
     """Of windows one with a gain, one whose outputs move on, one without a model."""
     names = {'input_names': ('rudder', 'flap'), 'output_names': ('yaw',)}
     known = {'status': Status.OK, 'settings': Settings(), 'pole_std': np.array([0.1])}
-    settles, moves = (StateSpace([[pole]], [[3.0, 1.0]], [[1.0]], delay=(0.25, 0.0), timeout=(0.0, 0.5),
-                                **names)
+    settles, moves = (StateSpace([[pole]], [[3.0, 1.0]], [[1.0]], delay=(0.25, 0.0),
+                                 timeout=(0.0, 0.5), **names)
                       for pole in (-2.0, 0.0))
     root = np.zeros((1, Covariance.entry_count(1, 2, 1)))
     root[0, 1], root[0, -2] = 0.2, 0.01                 # of the first input: B and the dead time

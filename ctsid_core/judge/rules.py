@@ -238,6 +238,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     if e.doubt and e.doubt[1] == 'delay':
         yield Remedy.SETTING, (
             f'{_begun(e.doubt[0])}: it is a bound; set `delay`, or take a longer window.')
+    if e.doubt and TIMEOUT in e.doubt[1]:       # before curves, which it makes, too
+        yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'
     # Before all that would advise to move more: what saturates has to move less.
     for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
@@ -276,8 +278,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
     if e.follows_at_once and e.doubt and e.doubt[1] == DIRECT:
         yield Remedy.SIGNALS, f'{_begun(_LATE)}.'
-    if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]
-                    or TIMEOUT in e.doubt[1]):
+    if e.doubt and (e.doubt[1] == ANY_DELAY or OTHER_HOLD in e.doubt[1]):
         yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'
     unseen = e.numbers.held_out_error
     for i in _largest_first(unseen / allowed(e.fitted), 1.0):

@@ -158,7 +158,8 @@ def design(model: StateSpace, pole_std: Array, weights: Weights, least_margin: f
                       f'is {least_margin:g}.', margin, worst)
     worst = min(worst, margin)
     return Design(gains, f'Accepted: disc margin {margin:.2f}, {worst:.2f} at worst with poles '
-                  f'within {DEVIATIONS:g} standard deviations{_late(model)}{_stops(model)}.', margin, worst)
+                  f'within {DEVIATIONS:g} standard deviations{_late(model)}{_stops(model)}.',
+                  margin, worst)
 
 
 def compute_gains(model: StateSpace, weights: Weights) -> Gains:
