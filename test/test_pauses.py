@@ -286,6 +286,31 @@ def test_a_window_knows_of_silence_that_begins_before_it():
     assert off(found) < 0.02
 
 
+@pytest.mark.parametrize('seed', [21, *slow(25, 35, 39, 44)])
+def test_a_timeout_is_found_where_what_was_held_only_predicts(seed):
+    """Someone drives faster and faster: the model of what was held is of a plant that grows."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 14.0, 0.005)
+    sent, command, begins, acts = [], [], 0.3, np.zeros((len(t), 1))
+    while begins < 13.5:
+        stamps = begins + 0.05 * np.arange(rng.integers(20, 60))
+        value = rng.choice((-1.0, 1.0)) * rng.choice((0.5, 1.0)) * 30.0 ** (begins / 14.0)
+        following = stamps[-1] + rng.uniform(1.0, 1.5)
+        acts[(t >= begins) & (t < stamps[-1] + 0.5)] = value
+        sent, command, begins = [*sent, stamps], [*command, value + 0.0 * stamps], following
+    t_y, base = np.arange(0.0, 13.0, 0.02), plant([[-4.0]], [[4.0]], [[1.0]])
+    given = Record.from_arrays(
+        np.concatenate(sent), np.concatenate(command)[:, np.newaxis], t_y,
+        noisy(rng, held_response(base, t, acts, t_y), 30.0), input_hold='zoh')
+    held = identify(given, Settings(feedthrough=False, timeout=0.0))
+    assert held.by_predictions
+    assert np.max((held.model or held.rejected_model).poles.real) > 0.1
+    found = identify(given, Settings(feedthrough=False))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.timeout == pytest.approx((0.5,), rel=0.02)
+    assert found.model.poles == pytest.approx([-4.0], rel=0.03)
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.02)
+
+
 def windows(given: Record, length: float = 10.0) -> list[Record]:
     return [given.between(a, a + length) for a in np.arange(0.0, given.end - length, 5.0)]
 
