@@ -20,12 +20,14 @@ from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.errors import DataError
 from ctsid_core.likelihood.residuals import motion_within
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import Remedy
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.signals.gaps import between_pauses, silent_at_end
 from ctsid_core.signals.timeouts import acting
 from ctsid_ros.studies.robots.families import experiment
+from ctsid_ros.verbs.simulate import timeouts_suggested
 
 PLANT = plant([[0.0, 1.0], [-25.0, -5.0]], [[0.0], [25.0]], [[1.0, 0.0]])
 POLE = -2.5 + 4.330127j
@@ -309,6 +311,16 @@ def test_a_timeout_is_found_where_what_was_held_only_predicts(seed):
     assert found.model.timeout == pytest.approx((0.5,), rel=0.02)
     assert found.model.poles == pytest.approx([-4.0], rel=0.03)
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(('acts', 'told'), [(0.5, True), (None, False)])
+def test_a_model_that_holds_is_told_of_a_timeout_in_another_recording(acts, told):
+    given = commanded(5, acts)
+    holds = StateSpace(PLANT.A, PLANT.B, PLANT.C, input_names=('v',), output_names=('y',))
+    said = timeouts_suggested(holds, given, simulation(holds, given))
+    assert any('`v.timeout: 0.5`' in words for words in said) == bool(said) == told
+    stops = replace(holds, timeout=(0.5,))
+    assert not timeouts_suggested(stops, given, simulation(stops, given))
 
 
 def windows(given: Record, length: float = 10.0) -> list[Record]:

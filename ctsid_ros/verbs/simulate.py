@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ctsid_core.errors import StorageError
 from ctsid_ros.errors import BagError
@@ -36,6 +36,7 @@ from ctsid_ros.verbs.arguments import (
 )
 
 _GROWS = 3.0          # times e within a record: no simulation tells more
+_LESS = 0.67          # of the error: a timeout that leaves less is suggested
 _DATED = 10 ** 17     # ns: of a clock that is set, and did not begin with 0
 
 if TYPE_CHECKING:
@@ -112,7 +113,8 @@ def command(args: argparse.Namespace) -> int:
             partly=0.0 < shared < record.duration - max(s.period for s in record.outputs))
         estimate = retested(estimate, failed)
         notes = (*_own_data(shared, record),
-                 *_unsimulated(outcome.simulated), *rests * (
+                 *_unsimulated(outcome.simulated),
+                 *timeouts_suggested(model, record, outcome.simulated, args.trim), *rests * (
             'no input moves in this recording, which tells nothing of the model: choose another, '
             'or a part in which they move',),
                  *([f'{failed}; `{_again(args)}` makes a model of this recording, `ctsid compare` '
@@ -200,6 +202,27 @@ def _unsimulated(simulated: Validation) -> tuple[str, ...]:
     return () if any(map(math.isfinite, simulated.fit.tolist())) else (
         'the plant grows by itself and cannot be simulated for so long: predictions tell how good '
         'the model is, at the horizons that matter to you (`--horizon`)',)
+
+
+def timeouts_suggested(model: StateSpace, record: Record, found: Validation,
+                       trim: Literal['refit', 'model'] = 'refit') -> tuple[str, ...]:
+    """Return that a timeout of an input would explain clearly more of a record, if one would."""
+    from ctsid_core.model.validation import simulation
+    from ctsid_core.search.held import TIMEOUTS
+    from ctsid_core.signals.gaps import silences
+    from ctsid_core.signals.record import channel_slices
+
+    if any(model.timeout) or not silences(record):
+        return ()
+    each = [(float(min(simulation(replace(model, timeout=tuple(
+        timeout if j in range(k.start, k.stop) else 0.0 for j in range(model.nu))), record,
+        trim=trim).fit)), model.input_names[k.start], timeout)
+        for k in channel_slices(record.inputs) for timeout in TIMEOUTS]
+    fit, name, timeout = max(each)
+    return () if not _LESS * (100.0 - min(found.fit)) > 100.0 - fit else (
+        f'with a timeout of about {timeout:.2g} s of input {name} it would be {fit:.0f} %: a '
+        f'driver seems to stop the robot while {name} is silent; a model made with '
+        f'`{name.partition("[")[0]}.timeout: {timeout:.2g}` knows of that',)
 
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
