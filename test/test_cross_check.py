@@ -19,6 +19,7 @@ from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.verdict import Agreement, Excitation, Grade, Remedy, Verdict
+from ctsid_core.settings import Actuator
 from ctsid_core.subspace.methods import METHODS
 from ctsid_ros.report.document import to_text
 from ctsid_ros.report.sections import model_section
@@ -98,11 +99,12 @@ def test_the_difference_is_that_of_the_responses(factor):
 
 
 def test_models_with_other_timeouts_do_not_agree():
-    first, second, like = (replace(one, model=replace(one.model, timeout=(timeout,))) for one in [
-        first_order(3.0, 0.03)] for timeout in (0.0, 0.5, 0.48))
+    one = first_order(3.0, 0.03)
+    first, second, like = (replace(one, model=replace(one.model, actuators=(Actuator(timeout),)))
+                           for timeout in (0.0, 0.5, 0.48))
     found = agreement(first, second, 'gobf')
     assert found.contradicts
-    assert 'counts as 0 from 0.5 s after a message on' in str(found)
+    assert '`timeout` of input u is 0.5, and 0 with the first' in str(found)
     assert agreement(second, like, 'gobf').agrees
 
 
@@ -323,9 +325,9 @@ def test_the_second_method_is_told_order_and_dead_time():
     cross_checked(found, Settings(method='gobf', cross_check='hd-pbsid', delay=0.3),
                   identify_again)
     assert asked[-1] == Settings(order=1, delay=(0.3,))
-    stops = replace(found, model=replace(found.model, timeout=(0.5,)))
+    stops = replace(found, model=replace(found.model, actuators=(Actuator(0.5),)))
     cross_checked(stops, given, identify_again)
-    assert asked[-1].timeout == (0.5,)
+    assert asked[-1].timeouts(1) == (0.5,)
 
 
 def with_delay(estimate: Estimate, delay: float, std: float) -> Estimate:

@@ -23,6 +23,7 @@ from ctsid_core.model.discrete import discretise
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import save_model
 from ctsid_core.model.verdict import Grade, Verdict
+from ctsid_core.settings import Actuator
 from ctsid_ros.cli import main
 from ctsid_ros.export.content import comment
 from ctsid_ros.verbs.export import SUFFIXES
@@ -259,7 +260,7 @@ def test_yaml_is_the_model(folder, model):
 
 @pytest.mark.parametrize('to', SUFFIXES)
 def test_a_timeout_is_told_in_every_format(folder, to):
-    model = replace(model_of(), timeout=(0.5, 0.0))
+    model = replace(model_of(), actuators=(Actuator(0.5), Actuator(0.0)))
     made = export(model, to, *(('--rate', 100) if to == 'c' else ()))
     if to == 'matlab':
         assert scipy.io.loadmat(made)['timeout'].ravel().tolist() == [0.5, 0.0]

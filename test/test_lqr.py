@@ -12,6 +12,7 @@ import pytest
 
 from ctsid_core.errors import DataError
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.settings import Actuator
 from ctsid_ros.examples import margins
 from ctsid_ros.examples.lqr import Weights, compute_gains, design
 from ctsid_ros.examples.margins import moved_matrices, moved_poles, worst_margin
@@ -238,11 +239,12 @@ def test_weak_loop_is_refused():
     assert 'disc margin of' in found.verdict
 
 
-def test_a_timeout_is_said():
-    found = design(replace(ROLL, timeout=(0.5,)), SURE, WEIGHTS)
+def test_what_acts_of_a_command_is_said():
+    found = design(replace(ROLL, actuators=(Actuator(timeout=0.5, limit=2.0),)), SURE, WEIGHTS)
     assert found.gains is not None
-    assert found.verdict.endswith('more often than every 0.5 s, for it counts as 0 from then on.')
-    assert 'more often' not in design(ROLL, SURE, WEIGHTS).verdict
+    assert 'counts as 0 from 0.5 s after a message on' in found.verdict
+    assert 'acts by at most 2' in found.verdict
+    assert 'counts as' not in design(ROLL, SURE, WEIGHTS).verdict
 
 
 def test_dead_time_is_handled_said_and_refused_when_it_is_too_long():

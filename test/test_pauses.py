@@ -17,15 +17,15 @@ import pytest
 from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
-from ctsid_core.errors import DataError
 from ctsid_core.likelihood.residuals import motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import Remedy
 from ctsid_core.sequence.tracking import Tracker
+from ctsid_core.settings import Actuator
+from ctsid_core.signals.actuators import acting
 from ctsid_core.signals.gaps import between_pauses, silent_at_end
-from ctsid_core.signals.timeouts import acting
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.verbs.simulate import timeouts_suggested
 
@@ -201,7 +201,7 @@ def test_a_timeout_that_stops_the_robot_is_found(timeout, seed):
     assert any(n.startswith('input v counts as 0 from') for n in found.notes)
     other = commanded(seed + 100, timeout)
     assert simulation(found.model, other).fit[0] > 95.0
-    assert simulation(replace(found.model, timeout=(0.0,)), other).fit[0] < 70.0
+    assert simulation(replace(found.model, actuators=(Actuator(0.0),)), other).fit[0] < 70.0
     settled, simulated = other.outputs[0].time > 5.0, found.model.simulate(
         other.inputs, other.outputs[0].time)
     assert np.std((simulated - other.outputs[0].values)[settled]) < 0.05 * np.std(simulated)
@@ -237,10 +237,6 @@ def test_commands_of_two_topics_have_timeouts_of_their_own(timeouts, seed):
 
 def test_channels_of_one_message_share_a_timeout():
     one, other = (commanded(seed, 0.5, duration=40.0) for seed in (3, 4))
-    values = one.inputs[0].values @ np.ones((1, 2))
-    twist = replace(one, inputs=(replace(one.inputs[0], values=values, names=('v', 'w')),))
-    with pytest.raises(DataError, match='give them the same'):
-        identify(twist, Settings(timeout=(0.5, 0.0)))
     found = identify([one, other])
     assert found.model.timeout == pytest.approx((0.5,), rel=0.02)
     assert found.good
@@ -319,7 +315,7 @@ def test_a_model_that_holds_is_told_of_a_timeout_in_another_recording(acts, told
     holds = StateSpace(PLANT.A, PLANT.B, PLANT.C, input_names=('v',), output_names=('y',))
     said = timeouts_suggested(holds, given, simulation(holds, given))
     assert any('`v.timeout: 0.5`' in words for words in said) == bool(said) == told
-    stops = replace(holds, timeout=(0.5,))
+    stops = replace(holds, actuators=(Actuator(0.5),))
     assert not timeouts_suggested(stops, given, simulation(stops, given))
 
 
@@ -377,12 +373,12 @@ def test_another_timeout_than_is_given_is_told(timeout, told):
 
 def test_what_acts_is_zero_after_a_timeout():
     given = Signal(np.array([0.0, 0.1, 1.0, 2.0]), np.array([[2.0], [3.0], [0.0], [4.0]]), 'zoh')
-    found, = acting((given,), (0.5,))
+    found, = acting((given,), (Actuator(0.5),))
     assert found.time.tolist() == [0.0, 0.1, 0.6, 1.0, 2.0, 2.5]
     assert found.values.ravel().tolist() == [2.0, 3.0, 0.0, 0.0, 4.0, 0.0]
-    assert acting((found,), (0.5,)) == (found,)
+    assert acting((found,), (Actuator(0.5),)) == (found,)
     for signal, timeout in ((given, 0.0), (replace(given, hold='linear'), 0.5)):
-        assert acting((signal,), (timeout,)) == (signal,)
+        assert acting((signal,), (Actuator(timeout),)) == (signal,)
 
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])

@@ -22,7 +22,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, simulation
 from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
 from ctsid_core.sequence.tracking import Tracked
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.progress import progress, time_left, working
 from ctsid_ros.replay.along import Windows
@@ -534,7 +534,7 @@ def test_bands_are_shaded_for_each_input():
 def test_a_timeout_is_told_where_there_is_one():
     section = to_text([model_section(estimate(), 'Model')])
     assert 'timeout' not in section
-    stops = replace(TRUTH, timeout=(0.5,))
+    stops = replace(TRUTH, actuators=(Actuator(0.5),))
     assert ', timeout 0.500 s.' in to_text([model_section(estimate(stops), 'Model')])
     assert facts(estimate(stops), {})['timeout [s]'] == '0.500'
 
@@ -544,7 +544,7 @@ def test_inputs_are_drawn_as_they_act():
     rng = np.random.default_rng(0)
     sent = np.sort(rng.choice(np.arange(0.0, 60.0, 0.05), 150, replace=False))
     given = Signal(sent, np.where(rng.random((150, 1)) < 0.5, -1.0, 1.0), 'zoh', ('u',))
-    model = StateSpace([[-4.0]], [[4.0]], [[1.0]], timeout=(0.2,), input_names=('u',),
+    model = StateSpace([[-4.0]], [[4.0]], [[1.0]], actuators=(Actuator(0.2),), input_names=('u',),
                        output_names=('y',))
     t = np.arange(0.0, 59.0, 0.02)
     seen = Signal(t, model.simulate([given], t), 'smooth', ('y',))

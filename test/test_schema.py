@@ -16,7 +16,7 @@ from ctsid_core.model import model_json  # noqa: E402
 from ctsid_core.model.estimate import Estimate, OrderTried, RecordShare, Status  # noqa: E402
 from ctsid_core.model.storage import to_json  # noqa: E402
 from ctsid_core.model.verdict import Agreement, Excitation, Grade, Verdict  # noqa: E402
-from ctsid_core.settings import Settings  # noqa: E402
+from ctsid_core.settings import Actuator, Settings  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 WRITTEN = sorted((ROOT / 'bags').glob('*_truth.json'))
@@ -39,7 +39,7 @@ def test_the_schema_names_what_the_code_writes():
     assert set(top) == set(model_json.TOP)
     assert set(model['properties']) == {
         *model_json.SIZES, *model_json.WORDS, *model_json.MATRICES, 'noise', 'poles',
-        'timeout'}
+        *Actuator._fields}
     assert set(verdict['properties']) == {f.name for f in fields(Verdict)}
     assert set(verdict['properties']['excitation']['items']['properties']) == {
         'input', *(f.name for f in fields(Excitation))} - {'name'}

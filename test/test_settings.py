@@ -126,7 +126,7 @@ def test_timeouts_may_be_left_to_the_data():
     assert Settings().timeout == 'auto'
     mixed = Settings(timeout=('auto', 0.5))
     assert mixed.timeouts(2) == (0.0, 0.5)
-    assert mixed.unknown_timeouts(2) == (True, False)
+    assert mixed.unknown_actuators('timeout', 2) == (True, False)
     assert Settings.from_dict(mixed.to_dict()) == mixed
     for wrong in ('Auto', ('auto', 'x'), True, -1.0, 61.0):
         with pytest.raises(SettingsError, match='`timeout` is'):

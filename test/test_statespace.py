@@ -17,6 +17,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.linear import matrix_functions
 from ctsid_core.model import realisation, simulation, validation
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.settings import Actuator
 from ctsid_core.signals.record import Record, Signal
 
 
@@ -395,7 +396,8 @@ def test_pade_replaces_dead_time():
     ({'K': np.zeros((1, 2))}, r'`K` has shape \(1, 2\), wanted is \(2, 1\)'),
     ({'x_trim': np.zeros(1)}, '`x_trim`'), ({'y_trim': np.zeros((1, 1))}, '`y_trim`'),
     ({'noise': np.zeros((2, 2))}, '`noise`'), ({'delay': (0.1, 0.2)}, '1 dead times'),
-    ({'timeout': (0.1, 0.2)}, '1 timeouts'), ({'timeout': (-0.1,)}, 'none negative'),
+    ({'actuators': (Actuator(0.1), Actuator(0.2))}, 'wanted are 1, one per input'),
+    ({'actuators': (Actuator(limit=-0.1),)}, 'no negative number'),
     ({'delay': (-0.1,)}, 'none negative'), ({'delay': (float('nan'),)}, 'none negative'),
     ({'A': [[np.nan, 0], [0, 1]]}, 'NaN or infinity'), ({'A': 'x'}, 'not an array of numbers'),
     ({'input_names': ('a', 'b')}, 'wanted are 1'), ({'output_units': 'rad'}, 'one per channel'),

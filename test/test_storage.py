@@ -28,7 +28,9 @@ from ctsid_core.model.storage import (
     to_json,
 )
 from ctsid_core.model.verdict import Excitation
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
+
+ACTUATORS = Actuator(0.1 + 0.2, rate_limit=1 / 3), Actuator(limit=2.0)
 
 
 def model(seed=0, n=3, nu=2, ny=2, **more):
@@ -92,7 +94,7 @@ def test_the_comparison_of_this_test_sees_single_bits():
     for other in (replace(whole, model=moved), replace(whole, held_out_fit=np.zeros(2)),
                   replace(whole, notes=()), replace(whole, covariance=covariance()),
                   replace(whole, condition=1.0),
-                  replace(whole, model=replace(whole.model, timeout=(0.5, 0.0))),
+                  replace(whole, model=replace(whole.model, actuators=ACTUATORS)),
                   replace(whole, model=replace(whole.model, delay=(0.0, 0.0)))):
         assert not same(whole, other)
 
@@ -107,7 +109,7 @@ def test_the_comparison_of_this_test_sees_single_bits():
     estimate(status=Status.UNRELIABLE, model=None),
     estimate(model=model(1, n=0, nu=0, ny=1), pole_std=np.empty(0), fit=np.empty(0),
              held_out_fit=np.empty(0)),
-    estimate(model=model(1, noise=None)), estimate(model=model(1, timeout=(0.1 + 0.2, 0.0)))],
+    estimate(model=model(1, noise=None)), estimate(model=model(1, actuators=ACTUATORS))],
     ids=['all', 'covariance', 'of a rejected', 'no rows', 'rivals', 'none', 'rejected',
          'no states', 'no noise', 'timeout'])
 def test_round_trip_to_the_last_bit(whole, tmp_path):
@@ -380,7 +382,7 @@ def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
     names = {'input_names': ('rudder', 'flap'), 'output_names': ('yaw',)}
     known = {'status': Status.OK, 'settings': Settings(), 'pole_std': np.array([0.1])}
     settles, moves = (StateSpace([[pole]], [[3.0, 1.0]], [[1.0]], delay=(0.25, 0.0),
-                                 timeout=(0.0, 0.5), **names)
+                                 actuators=(Actuator(0.0), Actuator(0.5)), **names)
                       for pole in (-2.0, 0.0))
     root = np.zeros((1, Covariance.entry_count(1, 2, 1)))
     root[0, 1], root[0, -2] = 0.2, 0.01                 # of the first input: B and the dead time

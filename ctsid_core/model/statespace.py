@@ -108,7 +108,8 @@ class StateSpace:
         if len(given) != nu or not all(0 <= v < float('inf') for own in given for v in own):
             raise DataError(f'`actuators` is {given}; wanted are {nu}, one per input, with no '
                             'negative number')
-        object.__setattr__(self, 'actuators', tuple(given))
+        object.__setattr__(self, 'actuators', tuple(
+            Actuator(*map(float, own)) for own in given))
         for name, count in (('input_names', nu), ('input_units', nu),
                             ('output_names', ny), ('output_units', ny)):
             words = getattr(self, name)
@@ -227,6 +228,11 @@ class StateSpace:
                        self.delay, np.asarray(times, dtype=float), start)
         with np.errstate(over='ignore', invalid='ignore'):
             return x @ self.C.T + u @ self.D.T + self.y_trim
+
+    @property
+    def timeout(self) -> tuple[float, ...]:
+        """The timeout of each input [s]; 0: none."""
+        return tuple(own.timeout for own in self.actuators)
 
     @staticmethod
     def check_width(what: str, given: int, wanted: int) -> None:

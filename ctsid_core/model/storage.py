@@ -29,7 +29,7 @@ from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.gains import gains
 from ctsid_core.model.model_json import from_json, parse, to_json
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
 
 __all__ = ['from_json', 'load_estimate', 'load_metadata', 'load_model', 'load_series',
            'save_model', 'save_series', 'to_json', 'write_file']
@@ -38,7 +38,9 @@ SERIES_FORMAT = 'ctsid-series'
 SERIES_VERSION = 1
 PER_POLE = ('re [rad/s]', 'im [rad/s]', 'std [rad/s]', 'natural_frequency [rad/s]',
             'natural_frequency_std [rad/s]', 'damping', 'damping_std')
-PER_INPUT = ('delay', 'delay_std', 'timeout')
+SECONDS = ' [s]'
+PER_INPUT = tuple(what + SECONDS * (what in ('delay', 'delay_std', 'timeout'))
+                  for what in ('delay', 'delay_std', *Actuator._fields))
 PER_PAIR = ('gain', 'gain_std', 'rate_gain', 'rate_gain_std')       # of an output and an input
 
 
@@ -167,7 +169,8 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(('start_ns', 'end_ns', 'status', 'verdict', 'order',
                      *(f'pole{k + 1}_{what}' for k in range(order) for what in PER_POLE),
-                     *(f'{what}_{name} [s]' for what in PER_INPUT for name in inputs),
+                     *(f'{what.removesuffix(SECONDS)}_{name}{SECONDS * what.endswith(SECONDS)}'
+                       for what in PER_INPUT for name in inputs),
                      *(f'{what}_{pair}' for what in PER_PAIR for pair in pairs),
                      *(f'fit_{name} [%]' for name in outputs),
                      *(f'held_out_fit_{name} [%]' for name in outputs), *columns))
@@ -199,14 +202,15 @@ def _pole_cells(estimate: Estimate, order: int) -> Array:
 
 def _input_cells(estimate: Estimate, ny: int, nu: int) -> Array:
     """Return what `PER_INPUT` and `PER_PAIR` say; NaN what is not known."""
-    m, times, found = estimate.model, np.full((3, nu), np.nan), np.full((4, ny, nu), np.nan)
+    m, own = estimate.model, np.full((len(PER_INPUT), nu), np.nan)
+    found = np.full((4, ny, nu), np.nan)
     if m is not None:
-        times[:] = m.delay, estimate.delay_std, m.timeout
+        own[:] = m.delay, estimate.delay_std, *zip(*m.actuators, strict=True)
         if known := gains(m, estimate.covariance):
             for k, rate in enumerate((False, True)):
                 found[2 * k:2 * k + 2] = np.where(
                     known.rate == rate, (known.value, known.std), np.nan)
-    return np.concatenate((times.ravel(), found.ravel()))
+    return np.concatenate((own.ravel(), found.ravel()))
 
 
 def _padded(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
@@ -230,8 +234,11 @@ def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
                  'singular_values'):
         arrays[name] = _stacked([getattr(e, name) for e in estimates])
     models = [e.model for e in estimates]
-    for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'timeout',
-                 'poles', 'natural_frequency', 'damping'):
+    for k, kind in enumerate(Actuator._fields):
+        arrays[kind] = _stacked([np.array([own[k] for own in m.actuators]) if m else np.empty(0)
+                                 for m in models])
+    for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'poles',
+                 'natural_frequency', 'damping'):
         rank = 2 if name in 'ABCDK' else 1
         arrays[name] = _stacked([np.asarray(getattr(m, name)) if m else np.empty((0,) * rank)
                                  for m in models])

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ctsid_core.bases.records import Joint
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
@@ -33,10 +34,10 @@ from ctsid_core.signals.record import Signal, channel_slices
 
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
-_VALUES = {           # to begin with: of a timeout [s], ...
-    'timeout': (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0),
-    # ... of the largest command, and of the range of all
-    'dead_zone': (0.05, 0.1, 0.2, 0.35, 0.5), 'limit': (0.9, 0.75, 0.6, 0.45, 0.3, 0.2),
+TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # to begin with [s]
+_VALUES = {           # and of the largest command, and of the range of all
+    'timeout': TIMEOUTS, 'dead_zone': (0.05, 0.1, 0.2, 0.35, 0.5),
+    'limit': (0.9, 0.75, 0.6, 0.45, 0.3, 0.2),
     'backlash': (0.05, 0.1, 0.2, 0.35), 'rate_limit': ()}
 _RATES, _SLOWEST, _FASTEST = 9, 8.0, 0.9    # so many rates, from 8 deviations of the command over
                                             # the length to this part of its fastest change
@@ -47,6 +48,8 @@ _SOONER = 0.5         # times the dead time: of what is sent it may stand for wh
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
 _STEPS = 3            # after so many steps of a climb, ...
 _BEST = 2             # and the best of each kind climb
+_FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
+_PASSES = 4           # in which numbers are found, one after the other
 _ROUNDS = 6           # as often it is looked for, unless it stays as it is ...
 _ALIKE = 0.005        # ... to this part of it
 _ASKED = 'whether actuators stop, limit or drag what inputs are sent'
@@ -68,18 +71,24 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     if solution.refit or part.u != u:
         return solution
     given = settings.actuators(whole.nu)
+    unknown = {kind: settings.unknown_actuators(kind, whole.nu) for kind in Actuator._fields}
+    together = [range(k.start, k.stop) for k in channel_slices(whole.inputs)]
     best, acting, first = solution, {k: given[j] for k, j in enumerate(u)}, _Acting()
     for _ in range(_ROUNDS):
-        with suppress(np.linalg.LinAlgError):
-            seen = _likeliest(solution, best, sent, settings, acting)
-        first = first or seen
+        try:
+            seen, sure = _likeliest(solution, best, sent, settings, acting)
+        except np.linalg.LinAlgError:
+            break
+        first = first or (seen if sure else acting)
         if _alike(seen, acting):
             break
         each = list(given)
         for k, j in enumerate(u):
-            each[j] = Actuator(*(own if settings.unknown_actuators(kind, whole.nu)[j] else known
-                                 for kind, own, known in zip(
-                                     Actuator._fields, seen[k], given[j], strict=True)))
+            for kind, value in seen[k]._asdict().items():
+                # Messages stop together, also with channels that are constant in them.
+                of = next(c for c in together if j in c) if kind == 'timeout' else [j]
+                for i in of:
+                    each[i] = each[i]._replace(**{kind: value} if unknown[kind][i] else {})
         other = again(settings.with_actuators(each), False)
         if other is None or not _explains_more(other, best, _count(seen) - _count(acting)):
             break
@@ -89,7 +98,10 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     doubts = (_doubt(whole.input_names, j, first[k].timeout) for k, j in enumerate(u)
               if k in first and abs(first[k].timeout - acting[k].timeout) >
               APART * first[k].timeout)
-    return replace(best, doubt=next(doubts, best.doubt))
+    told = [(k, kind) for k, j in enumerate(u) for kind in Actuator._fields
+            if unknown[kind][j] and getattr(acting[k], kind)]
+    return replace(best, doubt=next(doubts, best.doubt), rivals=(
+        *best.rivals, *_rivals(best, sent, settings, acting, told)))
 
 
 def with_choices(solution: Solution, settings: Settings) -> Solution:
@@ -208,27 +220,28 @@ class _Commands:
 
 
 def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Settings,
-               acting: _Acting) -> _Acting:
-    """Return what most likely lies before inputs, given the records as they were sent, a model."""
+               acting: _Acting) -> tuple[_Acting, bool]:
+    """
+    Return what most likely lies before inputs, and whether that is sure.
+
+    Given the records as they were sent, a model, and what is known of them.
+    """
     effort = solution.samples.effort
     samples, fit, free = _simulation(solution, sent, settings)
     _, fit, free = model.simulated or (samples, fit, free)
-    thin = samples.thinned(SEARCHED, scattered=True)
-    commands = _Commands(
-        replace(thin, records=tuple(replace(r, inputs=tuple(
-            s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
-        [p.u_level for p in sent.parts], free)
+    commands = _commands(samples, sent, free)
     silent = {k for k in acting if commands.silent(k)}
     little = model.simulated is not None and tried(*model.simulated).unexplained < ENOUGH
     if little and not silent or effort.leaves_out(_ASKED, SEARCH):
-        return acting
+        return acting, False
     sought = [(channels, kind) for channels, kind in _sought(sent, settings)
               if silent.intersection(channels) or kind != 'timeout' and not little]
     starts = [(fit.model.poles, fit.model.delay),
               *((one.poles, one.delay) for one, _ in model.smaller),
-              *_starts(thin, free, fit.model.delay)]
+              *_starts(commands.samples, free, fit.model.delay)]
     screen = replace(commands, samples=commands.samples.thinned(_SCREENED), made={})
-    own = commands.reached(acting, starts[:1])
+    own = given = commands.reached(acting, starts[:1])
+    numbers = _count(acting)
     while own is not None:
         own, acting = _nearer(commands, own, acting, sought)
         best = _next(commands, screen, acting, sought, starts)
@@ -236,7 +249,46 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
             break
         own, acting = best
         starts[0] = own.fit.model.poles, own.fit.model.delay
-    return acting
+    return acting, own is not None and given is not None and _gain(
+        own, given, _count(acting) - numbers) > _SURELY
+
+
+def _commands(samples: Samples, sent: Joint, free: Free) -> _Commands:
+    thin = samples.thinned(SEARCHED, scattered=True)
+    return _Commands(replace(thin, records=tuple(replace(r, inputs=tuple(
+        s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
+        [p.u_level for p in sent.parts], free)
+
+
+def _rivals(solution: Solution, sent: Joint, settings: Settings, acting: _Acting,
+            told: Sequence[tuple[int, str]]) -> Iterator[tuple[float, ModalModel]]:
+    """
+    Yield models with smaller and larger numbers, as far as they are not clearly less likely.
+
+    What a limit is, and the gain behind it, a command of two sizes does not tell apart.
+    """
+    if not told or solution.simulated is None:
+        return
+    samples, fit, free = _simulation(solution, sent, settings)
+    commands = _commands(samples, sent, free)
+    own = commands.reached(acting, [(fit.model.poles, fit.model.delay)])
+    if own is None:
+        return
+    worth = float(own.independent.sum() / own.samples.counts.sum())
+    start = own.fit.model.poles, own.fit.model.delay
+    for channel, kind in told:
+        value = getattr(acting[channel], kind)
+        for sign in (-1.0, 1.0):
+            for step in _FARTHER:
+                one = commands.at(_with(acting, [channel], kind, value * (1.0 + sign * step)),
+                                  start, own.fit)
+                rise = np.inf if one is None else worth * (one.cost - own.fit.cost)
+                if rise >= 1.0:
+                    break
+            one = commands.at(_with(acting, [channel], kind, value * (
+                1.0 + sign * step / max(rise, 1.0) ** 0.5)), start, own.fit)
+            if one is not None:
+                yield 0.5, one.model
 
 
 def _sought(sent: Joint, settings: Settings) -> Iterator[tuple[tuple[int, ...], str]]:
@@ -282,7 +334,7 @@ def _nearer(commands: _Commands, own: Tried, acting: _Acting,
             sought: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, _Acting]:
     """Return the same with the numbers that are likeliest, and the model with them."""
     unknown = [(channels, kind) for channels, kind in sought if getattr(acting[channels[0]], kind)]
-    for channels, kind in 2 * unknown:
+    for channels, kind in _PASSES * unknown:
         near, value = own.fit, getattr(acting[channels[0]], kind)
 
         def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,

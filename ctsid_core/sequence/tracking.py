@@ -27,10 +27,10 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, simulation
 from ctsid_core.sequence.alignment import aligning, referring
 from ctsid_core.sequence.mode_rows import Rows, follow
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
+from ctsid_core.signals.actuators import acting, in_words
 from ctsid_core.signals.gaps import silent_at_end
 from ctsid_core.signals.record import Record
-from ctsid_core.signals.timeouts import acting, in_words
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
 EDGE = 1 / 40         # part of a window: half of the steps in which the time of a change is found
@@ -69,7 +69,7 @@ class _Past:
     model: StateSpace | None = None
     error: Array = field(default_factory=lambda: np.empty(0))   # (ny,): rms, of its simulation
     orders: tuple[int, ...] = ()    # of the model, and of the last GOOD one
-    timeout: tuple[float, ...] = ()  # of the last GOOD one
+    actuators: tuple[Actuator, ...] = ()  # of the last GOOD one
     pole_std: Array = field(default_factory=lambda: np.empty(0))
     end_ns: int = 0
     rows: Rows = field(default_factory=Rows)
@@ -107,8 +107,8 @@ class Tracker:
 
         What a window is identified from does not depend on those before it, so that several can be
         identified at a time; they have to be joined in their order. `estimate` is that of
-        `identify` for this record and these settings; here it may be identified once more, with a
-        timeout that windows before have found. Raises `DataError` as `take` does.
+        `identify` for this record and these settings; here it may be identified once more, with
+        what windows before have found to act of inputs. Raises `DataError` as `take` does.
         """
         return self._joined(self._past, self.settings, record, estimate)
 
@@ -116,7 +116,7 @@ class Tracker:
                 cancelled: Callable[[], bool] | None = None) -> Tracked:
         clean = without_corrupt(record, settings)[0]
         test = _fresh(past, clean)
-        estimate = _with_timeouts(past, settings, record, estimate, cancelled)
+        estimate = _with_actuators(past, settings, record, estimate, cancelled)
         if not record.faults:  # else the samples changed, not the plant
             estimate = self._reject_straddling(estimate)
         known = past.model is not None and not settings.order
@@ -161,33 +161,38 @@ def time_of(estimate: Estimate, share: float) -> int:
     return estimate.start_ns + round(share * (estimate.end_ns - estimate.start_ns))
 
 
-def _with_timeouts(past: _Past, settings: Settings, record: Record, estimate: Estimate,
-                   cancelled: Callable[[], bool] | None) -> Estimate:
+def _with_actuators(past: _Past, settings: Settings, record: Record, estimate: Estimate,
+                    cancelled: Callable[[], bool] | None) -> Estimate:
     """
-    Return the estimate with the timeouts of the last GOOD model, unless its own are better.
+    Return the estimate of what acts by the last GOOD model, unless its own is better.
 
-    A window may have too few silences to tell them, or none, to which they are all the same.
+    A window may have too few silences, or too small motions, to tell it, or none, to which it is
+    all the same.
     """
-    if not any(past.timeout):
+    if not any(map(any, past.actuators)):
         return estimate
-    own = estimate.settings.timeouts(record.nu)
-    known = tuple(mine if mine and estimate.good or not unknown else before
-                  for mine, unknown, before in zip(
-                      own, settings.unknown_timeouts(record.nu), past.timeout, strict=True))
+    own, unknown = estimate.settings.actuators(record.nu), [
+        settings.unknown_actuators(kind, record.nu) for kind in Actuator._fields]
+    known = tuple(Actuator(*(
+        before if sought and not (estimate.good and (mine if k == 0 else any(whole[1:]))) else mine
+        for k, (mine, before, sought) in enumerate(zip(whole, last, free, strict=True))))
+        for whole, last, free in zip(own, past.actuators, zip(*unknown, strict=True), strict=True))
     spent, other = estimate.statistics.get('seconds_spent', 0.0), estimate
     if known == own or 0.0 < settings.budget <= spent:
         return estimate
     if acting(record.inputs, known) != acting(record.inputs, own):
-        left = settings.replace(timeout=known, budget=max(settings.budget - spent, 0.0))
+        left = settings.with_actuators(known).replace(
+            budget=max(settings.budget - spent, 0.0))
         other = identify(record, left, cancelled=cancelled)
         spent += other.statistics.get('seconds_spent', 0.0)
     if other.model is None or _merit(other) < _merit(estimate):
         return estimate
-    words = in_words(record.input_names,
-                     [k if k != o else 0.0 for k, o in zip(known, own, strict=True)])
+    words = in_words(record.input_names, [
+        Actuator(*(k if k != o else 0.0 for k, o in zip(*both, strict=True)))
+        for both in zip(known, own, strict=True)], record.input_units)
     return replace(
-        other, settings=other.settings.replace(timeout=known, budget=settings.budget),
-        model=replace(other.model, timeout=known),
+        other, settings=other.settings.with_actuators(known).replace(budget=settings.budget),
+        model=replace(other.model, actuators=known),
         statistics=other.statistics | {'seconds_spent': spent},
         notes=(*other.notes, *(f'{each}, as in windows before' for each in words)))
 
@@ -214,7 +219,7 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
     orders = (model.n, model.n if estimate.good else past.orders[-1] if past.orders else 0)
     return estimate, replace(
         past, realisation=realisation, reference=reference, model=aligned, orders=orders,
-        timeout=model.timeout if estimate.good else past.timeout,
+        actuators=model.actuators if estimate.good else past.actuators,
         pole_std=estimate.pole_std, end_ns=estimate.end_ns, rows=rows, next_mode=next_mode)
 
 

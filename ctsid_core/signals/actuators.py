@@ -83,7 +83,8 @@ def behind(signal: Signal, actuator: Actuator, level: float = 0.0,
         u = np.clip(u, -actuator.limit, actuator.limit)
     if actuator.backlash:
         u = _with_play(u, 0.5 * actuator.backlash, begin)
-    signal = replace(signal, values=(u - level)[:, np.newaxis])
+    u = (u - level)[:, np.newaxis]
+    signal = signal if np.array_equal(u, signal.values) else replace(signal, values=u)
     return _ramped(signal, actuator.rate_limit, begin) if actuator.rate_limit else signal
 
 

@@ -21,6 +21,7 @@ from scipy.linalg import solve_continuous_are
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.actuators import in_words
 from ctsid_ros.examples.margins import DEVIATIONS, PADE, disc_margin, moved_poles, worst_margin
 
 
@@ -158,7 +159,7 @@ def design(model: StateSpace, pole_std: Array, weights: Weights, least_margin: f
                       f'is {least_margin:g}.', margin, worst)
     worst = min(worst, margin)
     return Design(gains, f'Accepted: disc margin {margin:.2f}, {worst:.2f} at worst with poles '
-                  f'within {DEVIATIONS:g} standard deviations{_late(model)}{_stops(model)}.',
+                  f'within {DEVIATIONS:g} standard deviations{_late(model)}{_acts(model)}.',
                   margin, worst)
 
 
@@ -202,10 +203,9 @@ def _late(model: StateSpace) -> str:
     return f'; the dead time of {late:g} s was approximated in the design' if late else ''
 
 
-def _stops(model: StateSpace) -> str:
-    return ''.join(f'; send {name} more often than every {seconds:.2g} s, for it counts as 0 from '
-                   'then on' for name, seconds in zip(
-                       model.input_names or 'u' * model.nu, model.timeout, strict=True) if seconds)
+def _acts(model: StateSpace) -> str:
+    return ''.join(f'; {words}' for words in in_words(
+        model.input_names, model.actuators, model.input_units))
 
 
 def _check(model: StateSpace, pole_std: Array, weights: Weights) -> None:

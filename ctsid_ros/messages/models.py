@@ -73,8 +73,8 @@ def decode_model(msg: Any) -> Estimate:
     Return the estimate in a message of the topic `~/model`, equal to the last bit.
 
     There is one for every window. Act on `estimate.model` only if `estimate.good`: else
-    `estimate.verdict` says what is wrong with it, and what to do. Where `estimate.model.timeout`
-    is not 0, an input counts as 0 from so long [s] after a message on, until the next one.
+    `estimate.verdict` says what is wrong with it, and what to do. Where
+    `estimate.model.actuators` has numbers that are not 0, not all of an input acts.
 
     Raises
     ------

@@ -208,15 +208,16 @@ def timeouts_suggested(model: StateSpace, record: Record, found: Validation,
                        trim: Literal['refit', 'model'] = 'refit') -> tuple[str, ...]:
     """Return that a timeout of an input would explain clearly more of a record, if one would."""
     from ctsid_core.model.validation import simulation
-    from ctsid_core.search.held import TIMEOUTS
+    from ctsid_core.search.actuators import TIMEOUTS
     from ctsid_core.signals.gaps import silences
     from ctsid_core.signals.record import channel_slices
 
     if any(model.timeout) or not silences(record):
         return ()
-    each = [(float(min(simulation(replace(model, timeout=tuple(
-        timeout if j in range(k.start, k.stop) else 0.0 for j in range(model.nu))), record,
-        trim=trim).fit)), model.input_names[k.start], timeout)
+    each = [(float(min(simulation(replace(model, actuators=tuple(
+        own._replace(timeout=timeout * (j in range(k.start, k.stop)))
+        for j, own in enumerate(model.actuators))), record, trim=trim).fit)),
+             model.input_names[k.start], timeout)
         for k in channel_slices(record.inputs) for timeout in TIMEOUTS]
     fit, name, timeout = max(each)
     return () if not _LESS * (100.0 - min(found.fit)) > 100.0 - fit else (

@@ -28,6 +28,9 @@ struct Model
   Matrix A, B, C, D, K;  // empty if REJECT
   std::vector<double> x_trim, y_trim, delay;  // delay: of each input [s]
   std::vector<double> timeout;  // each input counts as 0 so long after a message [s]; 0: never
+  // Of each input so much moves nothing, acts at most, is play, and changes at most [unit, unit/s];
+  // 0: none.
+  std::vector<double> dead_zone, limit, backlash, rate_limit;
   std::vector<std::complex<double>> poles;  // [rad/s]
   std::vector<double> pole_std, fit, held_out_fit, fresh_fit;  // NaN: not known
   std::int64_t realisation = 0;  // another number: states begin anew
@@ -97,7 +100,12 @@ inline Model decode(const std::string & text)
     found.x_trim = model.at("x_trim").get<std::vector<double>>();
     found.y_trim = model.at("y_trim").get<std::vector<double>>();
     found.delay = model.at("delay").get<std::vector<double>>();
-    found.timeout = model.value("timeout", std::vector<double>(found.delay.size(), 0.0));
+    const std::vector<double> none(found.delay.size(), 0.0);
+    found.timeout = model.value("timeout", none);
+    found.dead_zone = model.value("dead_zone", none);
+    found.limit = model.value("limit", none);
+    found.backlash = model.value("backlash", none);
+    found.rate_limit = model.value("rate_limit", none);
     for (const auto & pole : model.at("poles")) {
       found.poles.emplace_back(number(pole.at("re")), number(pole.at("im")));
     }
