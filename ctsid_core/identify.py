@@ -12,7 +12,7 @@ import numpy as np
 from ctsid_core.bases.preparation import as_measured, computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
-from ctsid_core.judge.conclusion import conclude
+from ctsid_core.judge.conclusion import changes_explain_more, conclude
 from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.linear.one_thread import one_thread
@@ -148,8 +148,10 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         nu = records[0].nu
         sent = _joined(records, settings.with_actuators((Actuator(),) * nu), effort) if any(
             map(any, settings.actuators(nu))) else part
-        solution = of_actuators(solution, part if isinstance(sent, Unusable) else sent, settings,
-                                again)
+        acted = of_actuators(solution, part if isinstance(sent, Unusable) else sent, settings,
+                             again)
+        if acted.part is solution.part or not changes_explain_more(solution, acted):
+            solution = acted
         solution = with_choices(of_lost_inputs(solution, settings, again), settings)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,

@@ -56,6 +56,8 @@ from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
+_CLEARLY = 1.1         # times the power that two models leave, what one of what acts may leave
+
 
 def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     """
@@ -132,6 +134,17 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
                     'drift_cost': drift.cost},
         records=_shares(solution) if part.several else ())
+
+
+def changes_explain_more(solution: Solution, acted: Solution) -> bool:
+    """Return whether two models of what was sent explain clearly more than one of what acts."""
+    if solution.simulated is None or acted.simulated is None:
+        return False
+    change = most_likely_change(*solution.simulated, solution.smaller, solution.telling)
+    before, after = ((1.0 - 0.01 * fit) ** 2 for fit in change.two)
+    two = change.share * before + (1.0 - change.share) * after
+    samples, fit, _ = acted.simulated
+    return change.cost > NOTED and _CLEARLY * two < float(np.max(samples.mean(fit.power)))
 
 
 def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:

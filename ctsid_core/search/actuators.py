@@ -35,19 +35,19 @@ from ctsid_core.signals.record import Signal, channel_slices
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
 TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # to begin with [s]
+_MOST = 0.7           # times the error that is not noise, that what acts may leave
 _VALUES = {           # and of the largest command, and of the range of all
-    'timeout': TIMEOUTS, 'dead_zone': (0.05, 0.1, 0.2, 0.35, 0.5),
-    'limit': (0.9, 0.75, 0.6, 0.45, 0.3, 0.2),
-    'backlash': (0.05, 0.1, 0.2, 0.35), 'rate_limit': ()}
-_RATES, _SLOWEST, _FASTEST = 9, 8.0, 0.9    # so many rates, from 8 deviations of the command over
+    'timeout': TIMEOUTS, 'dead_zone': (0.06, 0.15, 0.3, 0.5),
+    'limit': (0.9, 0.7, 0.5, 0.3, 0.2),
+    'backlash': (0.06, 0.15, 0.35), 'rate_limit': ()}
+_RATES, _SLOWEST, _FASTEST = 8, 8.0, 0.9    # so many rates, from 8 deviations of the command over
                                             # the length to this part of its fastest change
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.003      # it is looked for no more closely
-_STARTS = 3           # pairs of poles that it is looked for with, too
+_STARTS = 2           # pairs of poles that it is looked for with, too
 _SOONER = 0.5         # times the dead time: of what is sent it may stand for what drags
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
-_STEPS = 3            # after so many steps of a climb, ...
-_BEST = 2             # and the best of each kind climb
+_STEPS = 3            # after so many steps of a climb; the best of each kind climbs on
 _FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
 _PASSES = 4           # in which numbers are found, one after the other
 _ROUNDS = 6           # as often it is looked for, unless it stays as it is ...
@@ -130,11 +130,18 @@ def _explains_more(one: Solution, other: Solution, numbers: int) -> bool:
     """Return whether a model of inputs that act with so many more numbers is to be taken."""
     if one.simulated is None:
         return False
+    own = tried(*one.simulated)
     if other.simulated is None:
-        return tried(*one.simulated).unexplained < DISTURBED
-    # Where inputs drift, what acts has to explain more than that.
-    rival = tried(*(other.drifting or other.simulated))
-    return _gain(tried(*one.simulated), rival, numbers) > (_SURELY if numbers else 0.0)
+        return own.unexplained < DISTURBED
+    if not numbers:
+        return _gain(own, tried(*other.simulated), 0) > 0.0
+    rival = tried(*other.simulated)
+    # Where inputs drift, what acts has to explain more than that, whatever their numbers cost.
+    drifts = other.drifting is None or _gain(own, replace(
+        tried(*other.drifting), parameters=own.parameters), 0) > _SURELY
+    left = rival.unexplained if other.drifting is None else min(
+        rival.unexplained, tried(*other.drifting).unexplained)
+    return drifts and own.unexplained < _MOST * left and _gain(own, rival, numbers) > _SURELY
 
 
 def _gain(one: Tried, other: Tried, numbers: int) -> float:
@@ -237,7 +244,6 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     sought = [(channels, kind) for channels, kind in _sought(sent, settings)
               if silent.intersection(channels) or kind != 'timeout' and not little]
     starts = [(fit.model.poles, fit.model.delay),
-              *((one.poles, one.delay) for one, _ in model.smaller),
               *_starts(commands.samples, free, fit.model.delay)]
     screen = replace(commands, samples=commands.samples.thinned(_SCREENED), made={})
     own = given = commands.reached(acting, starts[:1])
@@ -300,7 +306,8 @@ def _sought(sent: Joint, settings: Settings) -> Iterator[tuple[tuple[int, ...], 
         if signal.hold != 'zoh' or len(signal.time) < 3:
             continue
         yield tuple(places), 'timeout'
-        for kind in Actuator._fields[1:]:
+        # Simulations of what a controller holds seem to tell of any of the others.
+        for kind in Actuator._fields[1:] if settings.feedthrough else ():
             unknown = settings.unknown_actuators(kind, nu)
             yield from (((k,), kind) for k in places if unknown[part.u[k]])
 
@@ -319,8 +326,9 @@ def _next(commands: _Commands, screen: _Commands, acting: _Acting,
             other = _with(acting, channels, kind, value)
             if (one := screen.climbed(other, starts)) is not None:
                 near.append((one.cost, other, one))
-        for _, other, one in sorted(near, key=lambda n: n[0])[:_BEST]:
-            best = commands.reached(other, (starts[0], (one.model.poles, one.model.delay)))
+        if near:
+            _, other, one = min(near, key=lambda n: n[0])
+            best = commands.reached(other, [(one.model.poles, one.model.delay)])
             if best is not None:
                 found.append((best, other))
     return min(found, key=lambda one: one[0].fit.cost, default=None)
@@ -356,7 +364,7 @@ def _nearer(commands: _Commands, own: Tried, acting: _Acting,
 def _starts(samples: Samples, free: Free, delay: Array) -> Iterator[_Start]:
     """Yield what to begin with: poles of what is sent may be far from those of what acts."""
     soon = np.where(free.delays, _SOONER * delay, delay)
-    for size in np.geomspace(10.0 / samples.length, 0.25 * free.fastest, _STARTS):
+    for size in np.geomspace(20.0 / samples.length, 0.1 * free.fastest, _STARTS):
         yield np.array([size * (-0.6 + 0.8j)]), soon
 
 
