@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.actuators import acting
 from ctsid_core.signals.record import Record
 from ctsid_ros.studies.robots.experiment import Experiment
 from ctsid_ros.studies.robots.linear import Held, growth, mode_responses
@@ -17,6 +18,7 @@ LEAST = -1e30           # fit of what overflows [%]
 FAR = 3.0               # growth of an unstable mode [nepers] over which an initial state is fitted
 EXCITED = 10.0          # power of the response over that of the noise
 FREQUENCIES = 240
+FINE = 0.002            # [s]
 
 
 def _modal(A: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -41,7 +43,7 @@ def simulated(model: StateSpace, record: Record) -> Array:
     record : Record
         With one signal of held inputs and one of outputs.
     """
-    signal, held = record.outputs[0], record.inputs[0]
+    signal, held = record.outputs[0], _acting(model, record)
     times, y = signal.time, signal.values
     poles, vectors = _modal(model.A)
     with np.errstate(all='ignore'):
@@ -53,6 +55,19 @@ def simulated(model: StateSpace, record: Record) -> Array:
         spread = np.linalg.norm(y - y.mean(axis=0), axis=0)
         fit = 100.0 * (1.0 - np.linalg.norm(rest, axis=0) / np.where(spread > 0.0, spread, 1.0))
     return np.asarray(np.maximum(np.nan_to_num(fit, nan=LEAST, neginf=LEAST), LEAST))
+
+
+def _acting(model: StateSpace, record: Record) -> Held:
+    """Return what acts of the inputs, ramps in fine steps."""
+    whole, signals = record.inputs[0], acting(record.inputs, model.actuators)
+    if signals == record.inputs:
+        return Held(whole.time, whole.values)
+    first, last = float(whole.time[0]), float(max(record.end, whole.time[-1]))
+    knots = np.unique(np.concatenate((np.arange(first, last, FINE), *(s.time for s in signals))))
+    middle = knots + 0.5 * np.diff(knots, append=knots[-1])
+    return Held(knots, np.column_stack([
+        np.interp(middle, s.time, s.values[:, 0]) if s.hold == 'linear' else
+        Held(s.time, s.values).at(knots)[:, 0] for s in signals]))
 
 
 def _driven(model: StateSpace, poles: ComplexArray, vectors: ComplexArray, stamps: Array,
