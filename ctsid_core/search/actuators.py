@@ -101,7 +101,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     told = [(k, kind) for k, j in enumerate(u) for kind in Actuator._fields
             if unknown[kind][j] and getattr(acting[k], kind)]
     return replace(best, doubt=next(doubts, best.doubt), rivals=(
-        *best.rivals, *_rivals(best, sent, settings, acting, told)))
+        *best.rivals, *_rivals(best, acting, told)))
 
 
 def with_choices(solution: Solution, settings: Settings) -> Solution:
@@ -236,7 +236,10 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     effort = solution.samples.effort
     samples, fit, free = _simulation(solution, sent, settings)
     _, fit, free = model.simulated or (samples, fit, free)
-    commands = _commands(samples, sent, free)
+    thin = samples.thinned(SEARCHED, scattered=True)
+    commands = _Commands(replace(thin, records=tuple(replace(r, inputs=tuple(
+        s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
+        [p.u_level for p in sent.parts], free)
     silent = {k for k in acting if commands.silent(k)}
     little = model.simulated is not None and tried(*model.simulated).unexplained < ENOUGH
     if little and not silent or effort.leaves_out(_ASKED, SEARCH):
@@ -259,14 +262,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         own, given, _count(acting) - numbers) > _SURELY
 
 
-def _commands(samples: Samples, sent: Joint, free: Free) -> _Commands:
-    thin = samples.thinned(SEARCHED, scattered=True)
-    return _Commands(replace(thin, records=tuple(replace(r, inputs=tuple(
-        s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
-        [p.u_level for p in sent.parts], free)
-
-
-def _rivals(solution: Solution, sent: Joint, settings: Settings, acting: _Acting,
+def _rivals(solution: Solution, acting: _Acting,
             told: Sequence[tuple[int, str]]) -> Iterator[tuple[float, ModalModel]]:
     """
     Yield models with smaller and larger numbers, as far as they are not clearly less likely.
@@ -275,8 +271,12 @@ def _rivals(solution: Solution, sent: Joint, settings: Settings, acting: _Acting
     """
     if not told or solution.simulated is None:
         return
-    samples, fit, free = _simulation(solution, sent, settings)
-    commands = _commands(samples, sent, free)
+    samples, fit, free = solution.simulated
+    levels = [p.u_level for p in solution.part.parts]
+    thin = samples.thinned(SEARCHED, scattered=True)
+    commands = _Commands(replace(thin, records=tuple(replace(r, inputs=tuple(
+        replace(s, values=s.values - off) for s, off in zip(r.commands, level, strict=True)))
+        for r, level in zip(thin.records, levels, strict=True))), levels, free)
     own = commands.reached(acting, [(fit.model.poles, fit.model.delay)])
     if own is None:
         return

@@ -122,7 +122,7 @@ def in_field(kind: str) -> str:
 
 def _acting(signal: Signal, actuators: Sequence[Actuator]) -> Iterator[Signal]:
     """Yield what acts of a signal: whole where its channels share at most a timeout."""
-    if not any(map(any, actuators)):
+    if signal.hold != 'zoh' or not any(map(any, actuators)):
         yield signal
     elif all(own == Actuator(actuators[0].timeout) for own in actuators):
         yield stopped(signal, actuators[0].timeout)

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies before the plant: what acts of a command, by definition, and found from the data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from marks import slow
+import numpy as np
+from plants import held_response, noisy, plant
+import pytest
+
+from ctsid_core.identify import identify
+from ctsid_core.model.validation import simulation
+from ctsid_core.settings import Actuator, Settings
+from ctsid_core.signals.actuators import acting, as_acting, in_words, known
+from ctsid_core.signals.record import Record, Signal
+
+PLANT = plant([[0.0, 1.0], [-16.0, -4.8]], [[0.0], [16.0]], [[1.0, 0.0]])
+FINE = 0.001        # [s]
+EACH = {'dead_zone': 0.3, 'limit': 0.7, 'backlash': 0.4, 'rate_limit': 1.5}
+NONE = dict.fromkeys(EACH, 0.0)
+
+
+def brute(t, u, kind: str, value: float, t_u) -> np.ndarray:
+    """Return what acts on a fine grid by the definitions, step by step; at rest before."""
+    sent = np.where(t >= t_u[0], u[np.maximum(np.searchsorted(t_u, t, side='right') - 1, 0)], 0.0)
+    if kind == 'dead_zone':
+        return np.where(np.abs(sent) > value, sent - np.sign(sent) * value, 0.0)
+    if kind == 'limit':
+        return np.minimum(np.maximum(sent, -value), value)
+    place, found = 0.0, np.empty(len(t))
+    for k, wanted in enumerate(sent):
+        if kind == 'rate_limit':
+            place += np.clip(wanted - place, -value * FINE, value * FINE)
+        elif abs(wanted - place) > 0.5 * value:
+            place = wanted - 0.5 * value * np.sign(wanted - place)
+        found[k] = place
+    return found
+
+
+def driven(seed: int, kind: str = '', value: float = 0.0, *, size: float = 1.0,
+           duration: float = 30.0, noise: float | None = 30.0) -> Record:
+    """Return a robot under levels of many sizes, what acts of them behind one actuator."""
+    rng = np.random.default_rng(seed)
+    t_u = np.cumsum(np.append(0.5, rng.uniform(0.3, 1.2, int(duration / 0.6))))
+    t_u = t_u[t_u < duration]
+    u = size * rng.uniform(-1.2, 1.2, len(t_u))
+    t, t_y = np.arange(0.0, duration, FINE), np.arange(0.0, duration, 0.02)
+    acts = brute(t, u, kind, value, t_u)
+    y = held_response(PLANT, t, acts[:, np.newaxis], t_y)
+    # A message each 50 ms, as drivers want it
+    sent = np.arange(0.0, duration, 0.05)
+    stamps = np.union1d(sent, t_u)
+    held = np.where(stamps >= t_u[0], u[np.maximum(
+        np.searchsorted(t_u, stamps, side='right') - 1, 0)], 0.0)
+    return Record.from_arrays(stamps, held[:, np.newaxis], t_y, noisy(rng, y, noise),
+                              input_hold='zoh')
+
+
+@pytest.mark.parametrize('kind', EACH)
+def test_what_acts_is_what_the_definition_says(kind):
+    given = driven(3).inputs[0]
+    acts, = acting((given,), (Actuator(**{kind: EACH[kind]}),))
+    t = np.arange(0.0, 29.0, FINE)
+    wanted = brute(t, given.values[:, 0], kind, EACH[kind], given.time)
+    found = np.interp(t, acts.time, acts.values[:, 0]) if acts.hold == 'linear' else \
+        acts.values[np.searchsorted(acts.time, t, side='right') - 1, 0]
+    assert np.max(np.abs(found - wanted)) < 1.5 * FINE * EACH['rate_limit'] * (
+        kind == 'rate_limit') + 1e-12
+    assert acting((given,), (Actuator(),)) == (given,)
+    measured = replace(given, hold='smooth')
+    assert acting((measured,), (Actuator(**{kind: EACH[kind]}),)) == (measured,)
+
+
+@pytest.mark.parametrize('seed', [1, *slow(2, 3, 4, 5, 6)])
+@pytest.mark.parametrize('kind', EACH)
+def test_what_lies_before_a_plant_is_found_and_the_plant_behind_it_is_right(kind, seed):
+    found = identify(driven(seed, kind, EACH[kind]))
+    assert found.good, found.verdict.reason
+    own, = found.model.actuators
+    assert getattr(own, kind) == pytest.approx(EACH[kind], rel=0.05)
+    assert sum(map(bool, own)) == 1
+    assert found.model.n == 2
+    assert np.sort_complex(found.model.poles) == pytest.approx(
+        np.sort_complex(np.linalg.eigvals(PLANT.A)), rel=0.05)
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.03)
+    assert any(c.name == kind for c in found.choices)
+    assert any(in_words(('',), (own,))[0].strip().removeprefix('input  ') in n for n in found.notes)
+    # Motions of other sizes, which linear models of this record do not tell
+    other = driven(seed + 50, kind, EACH[kind], size=2.0, noise=None)
+    linear = identify(driven(seed, kind, EACH[kind]), Settings(**NONE))
+    line = linear.model or linear.rejected_model
+    assert not any(line.actuators[0])
+    fits = [simulation(m, other, trim='refit').fit[0] for m in (found.model, line)]
+    assert fits[0] > 96.0
+    assert fits[1] < 90.0
+    # The numbers may be given, too.
+    again = identify(driven(seed, kind, EACH[kind]), found.settings)
+    assert again.model.actuators == found.model.actuators
+    assert not any(c.name == kind for c in again.choices)
+
+
+@pytest.mark.parametrize('seed', [1, 2, *slow(3, 4, 5, 6)])
+@pytest.mark.parametrize('noise', [15.0, 30.0])
+def test_a_plant_that_is_linear_has_nothing_before_it(seed, noise):
+    found = identify(driven(seed, noise=noise))
+    assert found.good
+    assert not any(found.model.actuators[0])
+
+
+def test_where_ramps_and_gears_begin_is_not_known():
+    """A robot at rest is sent a command before the record: the ramp is under way at its start."""
+    stamps = np.array([0.0, 4.0, 8.0])
+    held = Signal(stamps, np.array([[1.0], [-1.0], [0.5]]), 'zoh', ('u',))
+    y = Signal(np.arange(0.0, 20.0, 0.02), np.zeros((1000, 1)), 'smooth', ('y',))
+    record = Record((held,), (y,), 0.0, 19.9)
+    acts = known(record, (Actuator(rate_limit=0.5),))
+    assert acts.start == pytest.approx(4.0)     # from -1 to 1 at 0.5 a second
+    assert as_acting(record, (Actuator(rate_limit=0.5),)).start == 0.0
+    assert acts.commands == (held,)
+    assert known(record, (Actuator(rate_limit=0.1),)).start == 0.0      # never known: as if sent
+    assert known(record, (Actuator(limit=0.5),)).start == 0.0
+
+
+def test_a_limit_that_all_commands_exceed_is_not_told_from_a_gain():
+    rng = np.random.default_rng(5)
+    t_u = np.arange(0.5, 30.0, 1.5)
+    u = rng.choice((-1.0, 0.0, 1.0), len(t_u)) * rng.uniform(0.8, 1.5, len(t_u))
+    t, t_y = np.arange(0.0, 30.0, FINE), np.arange(0.0, 30.0, 0.02)
+    y = held_response(PLANT, t, brute(t, u, 'limit', 0.5, t_u)[:, np.newaxis], t_y)
+    found = identify(Record.from_arrays(t_u, u[:, np.newaxis], t_y, noisy(rng, y, 30.0),
+                                        input_hold='zoh'))
+    assert not found.good
+
+
+def test_a_base_stops_and_ramps():
+    """Keys, a timeout of 0.5 s and an acceleration of 0.5: each for itself was taken for more."""
+    rng = np.random.default_rng(1)
+    stamps, sent, begins = list[np.ndarray](), list[np.ndarray](), 1.0
+    t, t_y = np.arange(0.0, 60.0, FINE), np.arange(0.0, 60.0, 0.02)
+    acts = np.zeros(len(t))
+    while begins < 57.0:
+        of = begins + 0.05 * np.arange(rng.integers(16, 60))
+        value = rng.choice((-0.3, 0.3, 0.5))
+        following = of[-1] + rng.choice((0.05, rng.uniform(0.8, 2.5)))
+        acts[(t >= begins) & (t < min(of[-1] + 0.5, following))] = value
+        stamps, sent, begins = [*stamps, of], [*sent, 0.0 * of + value], following
+    place = 0.0
+    for k, wanted in enumerate(acts):
+        acts[k] = place = place + np.clip(wanted - place, -0.5 * FINE, 0.5 * FINE)
+    y = held_response(plant([[-4.0]], [[4.0]], [[1.0]]), t, acts[:, np.newaxis], t_y)
+    found = identify(Record.from_arrays(
+        np.concatenate(stamps), np.concatenate(sent)[:, np.newaxis], t_y, noisy(rng, y, 26.0),
+        input_hold='zoh'))
+    assert found.good, found.verdict.reason
+    assert found.model.actuators[0].timeout == pytest.approx(0.5, rel=0.04)
+    assert found.model.actuators[0].rate_limit == pytest.approx(0.5, rel=0.04)
+    assert found.model.poles == pytest.approx([-4.0], rel=0.05)
+
+
+def test_channels_of_one_message_have_their_own():
+    one, other = driven(1, 'limit', 0.7), driven(2)
+    stamps = np.union1d(one.inputs[0].time, other.inputs[0].time)
+    u = np.column_stack([r.inputs[0].values[np.searchsorted(
+        r.inputs[0].time, stamps, side='right') - 1, 0] for r in (one, other)])
+    y = one.outputs[0].values + other.outputs[0].values
+    found = identify(Record.from_arrays(stamps, u, one.outputs[0].time, y, input_hold='zoh'))
+    assert found.good, found.verdict.reason
+    assert found.model.actuators[0].limit == pytest.approx(0.7, rel=0.05)
+    assert not any(found.model.actuators[1])
+
+
+@pytest.mark.parametrize('family', ['no-gain-jump', 'no-pole-jump', *slow('gain-drift')])
+def test_a_plant_that_changes_is_no_actuator(family):
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    given = robots.experiment(family, 300, {'no-gain-jump': 2, 'no-pole-jump': 6}.get(family, 1))
+    found = identify(given.record)
+    assert not any((found.model or found.rejected_model).actuators[0])
