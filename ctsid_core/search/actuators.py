@@ -98,10 +98,8 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     doubts = (_doubt(whole.input_names, j, first[k].timeout) for k, j in enumerate(u)
               if k in first and abs(first[k].timeout - acting[k].timeout) >
               APART * first[k].timeout)
-    told = [(k, kind) for k, j in enumerate(u) for kind in Actuator._fields
-            if unknown[kind][j] and getattr(acting[k], kind)]
     return replace(best, doubt=next(doubts, best.doubt), rivals=(
-        *best.rivals, *_rivals(best, acting, told)))
+        *best.rivals, *_rivals(best, settings)))
 
 
 def with_choices(solution: Solution, settings: Settings) -> Solution:
@@ -139,9 +137,15 @@ def _explains_more(one: Solution, other: Solution, numbers: int) -> bool:
     # Where inputs drift, what acts has to explain more than that, whatever their numbers cost.
     drifts = other.drifting is None or _gain(own, replace(
         tried(*other.drifting), parameters=own.parameters), 0) > _SURELY
-    left = rival.unexplained if other.drifting is None else min(
-        rival.unexplained, tried(*other.drifting).unexplained)
-    return drifts and own.unexplained < _MOST * left and _gain(own, rival, numbers) > _SURELY
+    if other.drifting is not None and own.unexplained > _MOST * tried(
+            *other.drifting).unexplained:
+        return False
+    return drifts and _surely(own, rival, numbers)
+
+
+def _surely(one: Tried, other: Tried, numbers: int) -> bool:
+    """Return whether a model of what acts is clearly likelier, and explains most of the rest."""
+    return one.unexplained < _MOST * other.unexplained and _gain(one, other, numbers) > _SURELY
 
 
 def _gain(one: Tried, other: Tried, numbers: int) -> float:
@@ -241,11 +245,11 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
         [p.u_level for p in sent.parts], free)
     silent = {k for k in acting if commands.silent(k)}
-    little = model.simulated is not None and tried(*model.simulated).unexplained < ENOUGH
-    if little and not silent or effort.leaves_out(_ASKED, SEARCH):
-        return acting, False
+    errs = model.simulated is not None and tried(*model.simulated).unexplained > ENOUGH
     sought = [(channels, kind) for channels, kind in _sought(sent, settings)
-              if silent.intersection(channels) or kind != 'timeout' and not little]
+              if (silent.intersection(channels) if kind == 'timeout' else errs)]
+    if not sought or effort.leaves_out(_ASKED, SEARCH):
+        return acting, False
     starts = [(fit.model.poles, fit.model.delay),
               *_starts(commands.samples, free, fit.model.delay)]
     screen = replace(commands, samples=commands.samples.thinned(_SCREENED), made={})
@@ -258,17 +262,21 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
             break
         own, acting = best
         starts[0] = own.fit.model.poles, own.fit.model.delay
-    return acting, own is not None and given is not None and _gain(
-        own, given, _count(acting) - numbers) > _SURELY
+    return acting, own is not None and given is not None and _surely(
+        own, given, _count(acting) - numbers)
 
 
-def _rivals(solution: Solution, acting: _Acting,
-            told: Sequence[tuple[int, str]]) -> Iterator[tuple[float, ModalModel]]:
+def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, ModalModel]]:
     """
     Yield models with smaller and larger numbers, as far as they are not clearly less likely.
 
     What a limit is, and the gain behind it, a command of two sizes does not tell apart.
     """
+    nu = solution.part.parts[0].whole.nu
+    actuators, u = solution.settings.actuators(nu), solution.part.parts[0].u
+    acting = {k: actuators[j] for k, j in enumerate(u)}
+    told = [(k, kind) for k, j in enumerate(u) for kind, value in acting[k]._asdict().items()
+            if value and settings.unknown_actuators(kind, nu)[j]]
     if not told or solution.simulated is None:
         return
     samples, fit, free = solution.simulated
