@@ -20,7 +20,12 @@ from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
 
 from ctsid_core.errors import SettingsError  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402
-from ctsid_ros.config.channels import CHANNEL_KEYS, SETTINGS_KEYS, Config  # noqa: E402
+from ctsid_ros.config.channels import (  # noqa: E402
+    CHANNEL_KEYS,
+    OF_INPUTS,
+    SETTINGS_KEYS,
+    Config,
+)
 from ctsid_ros.config.node_settings import NODE_KEYS, NodeSettings  # noqa: E402
 from ctsid_ros.config.parameter_file import OWN_KEYS, parse_parameters, read_config  # noqa: E402
 from ctsid_ros.config.parameter_text import dump_config  # noqa: E402
@@ -108,7 +113,7 @@ def test_a_generated_file_suits_the_node(make):
     node = make(dump_config(config))
     assert read(node) == config
     names = set(node.list_parameters([], 0).names)
-    assert {*SETTINGS_KEYS, *NODE_KEYS} - {'delay', 'timeout'} <= names
+    assert {*SETTINGS_KEYS, *NODE_KEYS} - {*OF_INPUTS} <= names
     assert {f'torque.{key}' for key in CHANNEL_KEYS} <= names
     assert 'rate.delay' not in names
     assert node.get_parameter('window.length').value == 10.0
@@ -233,7 +238,7 @@ def test_every_parameter_describes_itself(make):
     node = make(dump_config(example()))
     for name, declared in {**OWN_KEYS, **{f'torque.{k}': d for k, d in CHANNEL_KEYS.items()}
                            }.items():
-        if name in ('delay', 'timeout'):
+        if name in OF_INPUTS:
             continue
         meta, told = declared.metadata, node.describe_parameter(name)
         assert declared.metadata['doc'] in told.description
