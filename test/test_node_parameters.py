@@ -20,12 +20,7 @@ from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
 
 from ctsid_core.errors import SettingsError  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402
-from ctsid_ros.config.channels import (  # noqa: E402
-    CHANNEL_KEYS,
-    OF_INPUTS,
-    SETTINGS_KEYS,
-    Config,
-)
+from ctsid_ros.config.channels import CHANNEL_KEYS, OF_INPUTS, SETTINGS_KEYS, Config  # noqa: E402
 from ctsid_ros.config.node_settings import NODE_KEYS, NodeSettings  # noqa: E402
 from ctsid_ros.config.parameter_file import OWN_KEYS, parse_parameters, read_config  # noqa: E402
 from ctsid_ros.config.parameter_text import dump_config  # noqa: E402

@@ -35,7 +35,8 @@ from ctsid_core.signals.record import Signal, channel_slices
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
 TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # to begin with [s]
-_MOST = 0.7           # times the error that is not noise, that what acts may leave
+_MOST = 0.7           # times the error that is not noise, that what acts may leave, ...
+_LEFT = 0.1           # ... and of the motion: curves of sensors, seen at their outputs, leave more
 _VALUES = {           # and of the largest command, and of the range of all
     'timeout': TIMEOUTS, 'dead_zone': (0.06, 0.15, 0.3, 0.5),
     'limit': (0.9, 0.7, 0.5, 0.3, 0.2),
@@ -145,7 +146,8 @@ def _explains_more(one: Solution, other: Solution, numbers: int) -> bool:
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
     """Return whether a model of what acts is clearly likelier, and explains most of the rest."""
-    return one.unexplained < _MOST * other.unexplained and _gain(one, other, numbers) > _SURELY
+    return one.unexplained < min(_MOST * other.unexplained, _LEFT) and _gain(
+        one, other, numbers) > _SURELY
 
 
 def _gain(one: Tried, other: Tried, numbers: int) -> float:
