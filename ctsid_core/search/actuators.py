@@ -51,8 +51,8 @@ _SCREENED = 400       # samples of a stream that all numbers are compared on, ..
 _STEPS = 3            # after so many steps of a climb; the best of each kind climbs on
 _FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
 _PASSES = 4           # in which numbers are found, one after the other
-_ROUNDS = 6           # as often it is looked for, unless it stays as it is ...
-_ALIKE = 0.005        # ... to this part of it
+_ROUNDS = 6           # as often it is looked for, unless it is hardly likelier then
+_CHANCE = 1.0         # -2 log likelihood that another number gains by chance
 _ASKED = 'whether actuators stop, limit or drag what inputs are sent'
 
 _Start = tuple[ComplexArray, Array]     # poles and dead times
@@ -81,7 +81,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
         except np.linalg.LinAlgError:
             break
         first = first or (seen if sure else acting)
-        if _alike(seen, acting):
+        if seen == acting:
             break
         each = list(given)
         for k, j in enumerate(u):
@@ -91,13 +91,14 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
                 for i in of:
                     each[i] = each[i]._replace(**{kind: value} if unknown[kind][i] else {})
         other = again(settings.with_actuators(each), False)
-        if other is None or not _explains_more(other, best, _count(seen) - _count(acting)):
+        if other is None or not _explains_more(other, best, _count(seen) - _count(acting),
+                                               any(any(own[1:]) for own in seen.values())):
             break
         best, acting = other, {k: each[j] for k, j in enumerate(u)}
         if other.part.parts[0].u != u:      # one that acts as it is silent
             break
     doubts = (_doubt(whole.input_names, j, first[k].timeout) for k, j in enumerate(u)
-              if k in first and abs(first[k].timeout - acting[k].timeout) >
+              if k in first and first[k].timeout and abs(first[k].timeout - acting[k].timeout) >
               APART * first[k].timeout)
     return replace(best, doubt=next(doubts, best.doubt), rivals=(
         *best.rivals, *_rivals(best, settings)))
@@ -125,8 +126,12 @@ def _doubt(names: Sequence[str], place: int, seconds: float) -> Doubt:
             f'{name.partition("[")[0]}{TIMEOUT}{seconds:.2g}')
 
 
-def _explains_more(one: Solution, other: Solution, numbers: int) -> bool:
-    """Return whether a model of inputs that act with so many more numbers is to be taken."""
+def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) -> bool:
+    """
+    Return whether a model of inputs that act with so many more numbers is to be taken.
+
+    A timeout may leave what commands do that were lost; what `bends` inputs has to explain most.
+    """
     if one.simulated is None:
         return False
     own = tried(*one.simulated)
@@ -141,19 +146,22 @@ def _explains_more(one: Solution, other: Solution, numbers: int) -> bool:
     if other.drifting is not None and own.unexplained > _MOST * tried(
             *other.drifting).unexplained:
         return False
-    return drifts and _surely(own, rival, numbers)
+    return drifts and (_surely(own, rival, numbers) if bends else
+                       _gain(own, rival, numbers, doubted=True) > _SURELY)
 
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
-    """Return whether a model of what acts is clearly likelier, and explains most of the rest."""
-    return one.unexplained < min(_MOST * other.unexplained, _LEFT) and _gain(
-        one, other, numbers) > _SURELY
+    """Return whether a model of what acts is surely likelier, and leaves little, or is smaller."""
+    fewer = one.fit.model.n < other.fit.model.n
+    return one.unexplained < _LEFT and _gain(one, other, numbers) > _SURELY and (
+        fewer or one.unexplained < _MOST * other.unexplained)
 
 
-def _gain(one: Tried, other: Tried, numbers: int) -> float:
+def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> float:
     """Return by how much a model of what acts is likelier than another, at the price of it."""
     # Where it is right its errors are as independent as they seem.
-    n_eff = np.maximum(one.independent, 2.0)
+    n_eff = np.maximum(np.minimum(one.independent, other.independent) if doubted else
+                       one.independent, 2.0)
     ratio = np.log(np.maximum(other.power, 1e-24) / np.maximum(one.power, 1e-24))
     return float(n_eff @ ratio) + float(np.log(n_eff.max())) * (
         other.parameters - one.parameters - numbers)
@@ -161,10 +169,6 @@ def _gain(one: Tried, other: Tried, numbers: int) -> float:
 
 def _count(acting: _Acting) -> int:
     return sum(value > 0.0 for own in acting.values() for value in own)
-
-
-def _alike(one: _Acting, other: _Acting) -> bool:
-    return all(np.allclose(one[k], other[k], rtol=_ALIKE, atol=0.0) for k in other)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,11 +256,12 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
               if (silent.intersection(channels) if kind == 'timeout' else errs)]
     if not sought or effort.leaves_out(_ASKED, SEARCH):
         return acting, False
-    starts = [(fit.model.poles, fit.model.delay),
+    smaller = sorted((one for one, _ in model.smaller), key=lambda one: one.n)[-1:]
+    starts = [*((one.poles, one.delay) for one in (fit.model, *smaller)),
               *_starts(commands.samples, free, fit.model.delay)]
     screen = replace(commands, samples=commands.samples.thinned(_SCREENED), made={})
     own = given = commands.reached(acting, starts[:1])
-    numbers = _count(acting)
+    known = acting
     while own is not None:
         own, acting = _nearer(commands, own, acting, sought)
         best = _next(commands, screen, acting, sought, starts)
@@ -264,8 +269,9 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
             break
         own, acting = best
         starts[0] = own.fit.model.poles, own.fit.model.delay
-    return acting, own is not None and given is not None and _surely(
-        own, given, _count(acting) - numbers)
+    if own is None or given is None or _gain(own, given, 0) < _CHANCE:
+        return known, False
+    return acting, _surely(own, given, _count(acting) - _count(known))
 
 
 def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, ModalModel]]:
