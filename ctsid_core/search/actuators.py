@@ -60,12 +60,14 @@ _Acting = dict[int, Actuator]           # of moving inputs, by their places
 
 
 def of_actuators(solution: Solution, sent: Joint, settings: Settings,
-                 again: Callable[[Settings, bool], Solution | None]) -> Solution:
+                 again: Callable[[Settings, bool], Solution | None], *, loop: bool) -> Solution:
     """
     Return the model of inputs as they act, where that explains clearly more.
 
-    `again` identifies the records, which `sent` has as they were sent, with other settings. A
-    timeout that was given and is another one, or that no model confirms, is a doubt.
+    `again` identifies the records, which `sent` has as they were sent, with other settings. In a
+    `loop` timeouts alone are looked for: simulations of what a controller holds seem to tell of
+    any of the others. A timeout that was given and is another one, or that no model confirms, is a
+    doubt.
     """
     part = sent.parts[0]
     whole, u = part.whole, solution.part.parts[0].u
@@ -77,7 +79,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     best, acting, first = solution, {k: given[j] for k, j in enumerate(u)}, _Acting()
     for _ in range(_ROUNDS):
         try:
-            seen, sure = _likeliest(solution, best, sent, settings, acting)
+            seen, sure = _likeliest(solution, best, sent, settings, acting, loop)
         except np.linalg.LinAlgError:
             break
         first = first or (seen if sure else acting)
@@ -237,7 +239,7 @@ class _Commands:
 
 
 def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Settings,
-               acting: _Acting) -> tuple[_Acting, bool]:
+               acting: _Acting, loop: bool) -> tuple[_Acting, bool]:
     """
     Return what most likely lies before inputs, and whether that is sure.
 
@@ -252,7 +254,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         [p.u_level for p in sent.parts], free)
     silent = {k for k in acting if commands.silent(k)}
     errs = model.simulated is not None and tried(*model.simulated).unexplained > ENOUGH
-    sought = [(channels, kind) for channels, kind in _sought(sent, settings)
+    sought = [(channels, kind) for channels, kind in _sought(sent, settings, loop)
               if (silent.intersection(channels) if kind == 'timeout' else errs)]
     if not sought or effort.leaves_out(_ASKED, SEARCH):
         return acting, False
@@ -313,7 +315,7 @@ def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, Mod
                 yield 0.5, one.model
 
 
-def _sought(sent: Joint, settings: Settings) -> Iterator[tuple[tuple[int, ...], str]]:
+def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple[int, ...], str]]:
     """Yield inputs that are held, those of the same messages together, and what may be theirs."""
     part = sent.parts[0]
     nu, inputs = part.whole.nu, part.record.inputs
@@ -322,8 +324,7 @@ def _sought(sent: Joint, settings: Settings) -> Iterator[tuple[tuple[int, ...], 
         if signal.hold != 'zoh' or len(signal.time) < 3:
             continue
         yield tuple(places), 'timeout'
-        # Simulations of what a controller holds seem to tell of any of the others.
-        for kind in Actuator._fields[1:] if settings.feedthrough else ():
+        for kind in () if loop else Actuator._fields[1:]:
             unknown = settings.unknown_actuators(kind, nu)
             yield from (((k,), kind) for k in places if unknown[part.u[k]])
 
