@@ -12,6 +12,7 @@ import pytest
 
 from ctsid_core.identify import identify
 from ctsid_core.model.validation import simulation
+from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import acting, as_acting, in_words, known
 from ctsid_core.signals.record import Record, Signal
@@ -177,3 +178,16 @@ def test_a_plant_that_changes_is_no_actuator(family):
     given = robots.experiment(family, 300, {'no-gain-jump': 2, 'no-pole-jump': 6}.get(family, 1))
     found = identify(given.record)
     assert not any((found.model or found.rejected_model).actuators[0])
+
+
+def test_windows_that_do_not_reach_a_limit_keep_that_of_those_before():
+    tracker = Tracker()
+    first = tracker.take(driven(1, 'limit', 0.7)).estimate
+    small = driven(3, 'limit', 0.7, size=0.4)
+    later = replace(small, epoch_ns=round(1e11))
+    assert not any(identify(later).model.actuators[0])
+    found = tracker.take(later).estimate
+    assert found.good
+    assert found.model.actuators == first.model.actuators
+    assert any('as in windows before' in note for note in found.notes)
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.03)
