@@ -10,53 +10,41 @@ states, and the likelihood tells which it is, and of what size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.output_error import Fit, Fitted, Free, climb_roughly, fit_at
+from ctsid_core.likelihood.output_error import Fit, Fitted, Free, fit_at
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.by_order import SEARCHED
+from ctsid_core.search.commands import Acting, Commands, Start, commands_of, with_number
 from ctsid_core.search.solution import DISTURBED, TIMEOUT, Doubt, Solution
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
-from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, roughly, tried
+from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
 from ctsid_core.settings import Actuator, Settings
-from ctsid_core.signals.actuators import behind, in_words
-from ctsid_core.signals.gaps import silent_between
-from ctsid_core.signals.record import Signal, channel_slices
+from ctsid_core.signals.actuators import in_words
+from ctsid_core.signals.record import channel_slices
 
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
-TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # to begin with [s]
 _MOST = 0.7           # times the error that is not noise, that what acts may leave, ...
 _LEFT = 0.1           # ... and of the motion: curves of sensors, seen at their outputs, leave more
-_VALUES = {           # and of the largest command, and of the range of all
-    'timeout': TIMEOUTS, 'dead_zone': (0.06, 0.15, 0.3, 0.5),
-    'limit': (0.9, 0.7, 0.5, 0.3, 0.2),
-    'backlash': (0.06, 0.15, 0.35), 'rate_limit': ()}
-_RATES, _SLOWEST, _FASTEST = 8, 8.0, 0.9    # so many rates, from 8 deviations of the command over
-                                            # the length to this part of its fastest change
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.003      # it is looked for no more closely
 _STARTS = 2           # pairs of poles that it is looked for with, too
 _SOONER = 0.5         # times the dead time: of what is sent it may stand for what drags
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
-_STEPS = 3            # after so many steps of a climb; the best of each kind climbs on
 _FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
 _PASSES = 4           # in which numbers are found, one after the other
 _ROUNDS = 6           # as often it is looked for, unless it is hardly likelier then
 _CHANCE = 1.0         # -2 log likelihood that another number gains by chance
 _ASKED = 'whether actuators stop, limit or drag what inputs are sent'
-
-_Start = tuple[ComplexArray, Array]     # poles and dead times
-_Acting = dict[int, Actuator]           # of moving inputs, by their places
 
 
 def of_actuators(solution: Solution, sent: Joint, settings: Settings,
@@ -76,7 +64,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     given = settings.actuators(whole.nu)
     unknown = {kind: settings.unknown_actuators(kind, whole.nu) for kind in Actuator._fields}
     together = [range(k.start, k.stop) for k in channel_slices(whole.inputs)]
-    best, acting, first = solution, {k: given[j] for k, j in enumerate(u)}, _Acting()
+    best, acting, first = solution, {k: given[j] for k, j in enumerate(u)}, Acting()
     for _ in range(_ROUNDS):
         try:
             seen, sure = _likeliest(solution, best, sent, settings, acting, loop)
@@ -169,77 +157,12 @@ def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> floa
         other.parameters - one.parameters - numbers)
 
 
-def _count(acting: _Acting) -> int:
+def _count(acting: Acting) -> int:
     return sum(value > 0.0 for own in acting.values() for value in own)
 
 
-@dataclass(frozen=True, eq=False)
-class _Commands:
-    """Samples whose inputs, each a signal of its own, may act otherwise than they were sent."""
-
-    samples: Samples
-    levels: Sequence[Array]     # that were taken off the inputs of each record, (nu,)
-    free: Free
-    made: dict[tuple[int, int, Actuator], Signal] = field(default_factory=dict)
-
-    def acting(self, actuators: Mapping[int, Actuator]) -> Samples:
-        """Return the samples with inputs as they act."""
-        return replace(self.samples, records=tuple(
-            replace(r, inputs=tuple(self._acting(number, k, actuators[k])
-                                    for k in range(len(r.inputs))))
-            for number, r in enumerate(self.samples.records)))
-
-    def _acting(self, record: int, channel: int, own: Actuator) -> Signal:
-        signal = self.samples.records[record].inputs[channel]
-        if not any(own):
-            return signal
-        if (record, channel, own) not in self.made:
-            self.made[record, channel, own] = behind(
-                signal, own, float(self.levels[record][channel]))
-        return self.made[record, channel, own]
-
-    def at(self, actuators: Mapping[int, Actuator], start: _Start,
-           near: Fit | None = None) -> Fit | None:
-        """Return the model with some poles and dead times, if there is one."""
-        with suppress(np.linalg.LinAlgError):
-            return fit_at(self.acting(actuators), *start, self.free, near, slopes=False)
-        return None
-
-    def climbed(self, actuators: Mapping[int, Actuator], starts: Sequence[_Start]) -> Fit | None:
-        """Return what the best of some starts leads to in a few steps."""
-        fits = [one for start in starts if (one := self.at(actuators, start)) is not None]
-        return climb_roughly(self.acting(actuators), min(fits, key=lambda f: f.cost), self.free,
-                             steps=_STEPS) if fits else None
-
-    def reached(self, actuators: Mapping[int, Actuator], starts: Sequence[_Start]) -> Tried | None:
-        """Return the best of what some starts lead to."""
-        samples, found = self.acting(actuators), list[Tried]()
-        for start in starts:
-            with suppress(np.linalg.LinAlgError):
-                found.append(roughly(samples, *start, self.free))
-        return min(found, key=lambda one: one.fit.cost, default=None)
-
-    def values(self, channel: int, kind: str) -> list[float]:
-        """Return numbers to begin with."""
-        inputs = [(r.inputs[channel], r.inputs[channel].values[:, 0] + level[channel])
-                  for r, level in zip(self.samples.records, self.levels, strict=True)]
-        u = np.concatenate([u for _, u in inputs])
-        if kind == 'rate_limit':
-            steps = [np.max(np.abs(np.diff(u)), initial=0.0) / s.period for s, u in inputs]
-            slow = _SLOWEST * float(np.std(u)) / self.samples.length
-            return list(np.geomspace(slow, max(_FASTEST * max(steps), slow), _RATES).tolist())
-        size = 1.0 if kind == 'timeout' else float(
-            np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
-        return [share * size for share in _VALUES[kind]]
-
-    def silent(self, channel: int) -> bool:
-        """Return whether an input that is held is silent, and not at rest."""
-        return any(np.any(silent_between(r.inputs[channel], *r.span, -level[channel]))
-                   for r, level in zip(self.samples.records, self.levels, strict=True))
-
-
 def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Settings,
-               acting: _Acting, loop: bool) -> tuple[_Acting, bool]:
+               acting: Acting, loop: bool) -> tuple[Acting, bool]:
     """
     Return what most likely lies before inputs, and whether that is sure.
 
@@ -248,10 +171,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     effort = solution.samples.effort
     samples, fit, free = _simulation(solution, sent, settings)
     _, fit, free = model.simulated or (samples, fit, free)
-    thin = samples.thinned(SEARCHED, scattered=True)
-    commands = _Commands(replace(thin, records=tuple(replace(r, inputs=tuple(
-        s.columns([j]) for s in r.inputs for j in range(s.width))) for r in thin.records)),
-        [p.u_level for p in sent.parts], free)
+    commands = commands_of(samples.thinned(SEARCHED, scattered=True), sent, free)
     silent = {k for k in acting if commands.silent(k)}
     errs = model.simulated is not None and tried(*model.simulated).unexplained > ENOUGH
     sought = [(channels, kind) for channels, kind in _sought(sent, settings, loop)
@@ -290,28 +210,23 @@ def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, Mod
     if not told or solution.simulated is None:
         return
     samples, fit, free = solution.simulated
-    levels = [p.u_level for p in solution.part.parts]
-    thin = samples.thinned(SEARCHED, scattered=True)
-    commands = _Commands(replace(thin, records=tuple(replace(r, inputs=tuple(
-        replace(s, values=s.values - off) for s, off in zip(r.commands, level, strict=True)))
-        for r, level in zip(thin.records, levels, strict=True))), levels, free)
+    commands = commands_of(samples.thinned(SEARCHED, scattered=True), solution.part, free)
     own = commands.reached(acting, [(fit.model.poles, fit.model.delay)])
     if own is None:
         return
     worth = float(own.independent.sum() / own.samples.counts.sum())
     start = own.fit.model.poles, own.fit.model.delay
     for channel, kind in told:
-        value = getattr(acting[channel], kind)
+        def beside(part: float, channel: int = channel, kind: str = kind) -> Fit | None:
+            value = (1.0 + part) * getattr(acting[channel], kind)
+            return commands.at(with_number(acting, [channel], kind, value), start, own.fit)
         for sign in (-1.0, 1.0):
             for step in _FARTHER:
-                one = commands.at(_with(acting, [channel], kind, value * (1.0 + sign * step)),
-                                  start, own.fit)
+                one = beside(sign * step)
                 rise = np.inf if one is None else worth * (one.cost - own.fit.cost)
                 if rise >= 1.0:
                     break
-            one = commands.at(_with(acting, [channel], kind, value * (
-                1.0 + sign * step / max(rise, 1.0) ** 0.5)), start, own.fit)
-            if one is not None:
+            if (one := beside(sign * step / max(rise, 1.0) ** 0.5)) is not None:
                 yield 0.5, one.model
 
 
@@ -329,18 +244,18 @@ def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple
             yield from (((k,), kind) for k in places if unknown[part.u[k]])
 
 
-def _next(commands: _Commands, screen: _Commands, acting: _Acting,
+def _next(commands: Commands, screen: Commands, acting: Acting,
           sought: Sequence[tuple[tuple[int, ...], str]],
-          starts: Sequence[_Start]) -> tuple[Tried, _Acting] | None:
+          starts: Sequence[Start]) -> tuple[Tried, Acting] | None:
     """Return what most likely lies before an input, too, and the model with it."""
-    found = list[tuple[Tried, _Acting]]()
+    found = list[tuple[Tried, Acting]]()
     for channels, kind in sought:
         own = acting[channels[0]]
         if getattr(own, kind) or kind != 'timeout' and any(own[1:]):    # one of them at most
             continue
         near = []
         for value in screen.values(channels[0], kind):
-            other = _with(acting, channels, kind, value)
+            other = with_number(acting, channels, kind, value)
             if (one := screen.climbed(other, starts)) is not None:
                 near.append((one.cost, other, one))
         if near:
@@ -351,34 +266,30 @@ def _next(commands: _Commands, screen: _Commands, acting: _Acting,
     return min(found, key=lambda one: one[0].fit.cost, default=None)
 
 
-def _with(acting: _Acting, channels: Sequence[int], kind: str, value: float) -> _Acting:
-    return acting | {k: acting[k]._replace(**{kind: value}) for k in channels}
-
-
-def _nearer(commands: _Commands, own: Tried, acting: _Acting,
-            sought: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, _Acting]:
+def _nearer(commands: Commands, own: Tried, acting: Acting,
+            sought: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, Acting]:
     """Return the same with the numbers that are likeliest, and the model with them."""
     unknown = [(channels, kind) for channels, kind in sought if getattr(acting[channels[0]], kind)]
     for channels, kind in _PASSES * unknown:
         near, value = own.fit, getattr(acting[channels[0]], kind)
 
         def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,
-                 near: Fit = near, acting: _Acting = acting) -> float:
-            one = commands.at(_with(acting, channels, kind, value),
+                 near: Fit = near, acting: Acting = acting) -> float:
+            one = commands.at(with_number(acting, channels, kind, value),
                               (near.model.poles, near.model.delay), near)
             return np.inf if one is None else one.cost
         best = minimize_scalar(cost, method='bounded', bounds=(value / _NEAR, value * _NEAR),
                                options={'xatol': _CLOSELY * value})
-        if not best.fun < near.cost:
+        if not best.fun < near.cost or abs(best.x - value) < _CLOSELY * value:
             continue
-        other = _with(acting, channels, kind, float(best.x))
+        other = with_number(acting, channels, kind, float(best.x))
         one = commands.reached(other, [(near.model.poles, near.model.delay)])
         if one is not None:
             own, acting = one, other
     return own, acting
 
 
-def _starts(samples: Samples, free: Free, delay: Array) -> Iterator[_Start]:
+def _starts(samples: Samples, free: Free, delay: Array) -> Iterator[Start]:
     """Yield what to begin with: poles of what is sent may be far from those of what acts."""
     soon = np.where(free.delays, _SOONER * delay, delay)
     for size in np.geomspace(20.0 / samples.length, 0.1 * free.fastest, _STARTS):

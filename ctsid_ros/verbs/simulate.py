@@ -208,7 +208,7 @@ def timeouts_suggested(model: StateSpace, record: Record, found: Validation,
                        trim: Literal['refit', 'model'] = 'refit') -> tuple[str, ...]:
     """Return that a timeout of an input would explain clearly more of a record, if one would."""
     from ctsid_core.model.validation import simulation
-    from ctsid_core.search.actuators import TIMEOUTS
+    from ctsid_core.search.commands import TIMEOUTS
     from ctsid_core.signals.gaps import silences
     from ctsid_core.signals.record import channel_slices
 

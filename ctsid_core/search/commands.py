@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples whose inputs may act otherwise than they were sent, and models of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ctsid_core.bases.records import Joint
+from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.search.tried import Tried, roughly
+from ctsid_core.settings import Actuator
+from ctsid_core.signals.actuators import behind
+from ctsid_core.signals.gaps import silent_between
+from ctsid_core.signals.record import Signal
+
+TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # to begin with [s]
+_VALUES = {           # and of the largest command, and of the range of all
+    'timeout': TIMEOUTS, 'dead_zone': (0.06, 0.15, 0.3, 0.5),
+    'limit': (0.9, 0.7, 0.5, 0.3, 0.2),
+    'backlash': (0.06, 0.15, 0.35), 'rate_limit': ()}
+_RATES, _SLOWEST, _FASTEST = 8, 8.0, 0.9    # so many rates, from 8 deviations of the command over
+                                            # the length to this part of its fastest change
+_STEPS = 3            # after so many steps of a climb; the best of each kind climbs on
+
+Start = tuple[ComplexArray, Array]     # poles and dead times
+Acting = dict[int, Actuator]           # of moving inputs, by their places
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Samples whose inputs, each a signal of its own, may act otherwise than they were sent."""
+
+    samples: Samples
+    levels: Sequence[Array]     # that were taken off the inputs of each record, (nu,)
+    free: Free
+    made: dict[tuple[int, int, Actuator], Signal] = field(default_factory=dict)
+
+    def acting(self, actuators: Mapping[int, Actuator]) -> Samples:
+        """Return the samples with inputs as they act."""
+        return replace(self.samples, records=tuple(
+            replace(r, inputs=tuple(self._acting(number, k, actuators[k])
+                                    for k in range(len(r.inputs))))
+            for number, r in enumerate(self.samples.records)))
+
+    def _acting(self, record: int, channel: int, own: Actuator) -> Signal:
+        signal = self.samples.records[record].inputs[channel]
+        if not any(own):
+            return signal
+        if (record, channel, own) not in self.made:
+            self.made[record, channel, own] = behind(
+                signal, own, float(self.levels[record][channel]))
+        return self.made[record, channel, own]
+
+    def at(self, actuators: Mapping[int, Actuator], start: Start,
+           near: Fit | None = None) -> Fit | None:
+        """Return the model with some poles and dead times, if there is one."""
+        with suppress(np.linalg.LinAlgError):
+            return fit_at(self.acting(actuators), *start, self.free, near, slopes=False)
+        return None
+
+    def climbed(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Fit | None:
+        """Return what the best of some starts leads to in a few steps."""
+        fits = [one for start in starts if (one := self.at(actuators, start)) is not None]
+        return climb_roughly(self.acting(actuators), min(fits, key=lambda f: f.cost), self.free,
+                             steps=_STEPS) if fits else None
+
+    def reached(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Tried | None:
+        """Return the best of what some starts lead to."""
+        samples, found = self.acting(actuators), list[Tried]()
+        for start in starts:
+            with suppress(np.linalg.LinAlgError):
+                found.append(roughly(samples, *start, self.free))
+        return min(found, key=lambda one: one.fit.cost, default=None)
+
+    def values(self, channel: int, kind: str) -> list[float]:
+        """Return numbers to begin with."""
+        inputs = [(r.inputs[channel], r.inputs[channel].values[:, 0] + level[channel])
+                  for r, level in zip(self.samples.records, self.levels, strict=True)]
+        u = np.concatenate([u for _, u in inputs])
+        if kind == 'rate_limit':
+            steps = [np.max(np.abs(np.diff(u)), initial=0.0) / s.period for s, u in inputs]
+            slow = _SLOWEST * float(np.std(u)) / self.samples.length
+            return list(np.geomspace(slow, max(_FASTEST * max(steps), slow), _RATES).tolist())
+        size = 1.0 if kind == 'timeout' else float(
+            np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
+        return [share * size for share in _VALUES[kind]]
+
+    def silent(self, channel: int) -> bool:
+        """Return whether an input that is held is silent, and not at rest."""
+        return any(np.any(silent_between(r.inputs[channel], *r.span, -level[channel]))
+                   for r, level in zip(self.samples.records, self.levels, strict=True))
+
+
+def commands_of(samples: Samples, part: Joint, free: Free) -> Commands:
+    """Return samples of records with inputs as they were sent."""
+    records = []
+    for r, one in zip(samples.records, part.parts, strict=True):
+        sent = (s.columns([j]) for s in r.commands for j in range(s.width))
+        records.append(replace(r, inputs=tuple(
+            replace(s, values=s.values - level) if one.record.sent else s
+            for s, level in zip(sent, one.u_level, strict=True))))
+    return Commands(replace(samples, records=tuple(records)), [p.u_level for p in part.parts],
+                    free)
+
+
+def with_number(acting: Acting, channels: Sequence[int], kind: str, value: float) -> Acting:
+    """Return what acts with another number of one kind, of some inputs."""
+    return acting | {k: acting[k]._replace(**{kind: value}) for k in channels}
