@@ -191,14 +191,20 @@ def _limits(y: Array) -> tuple[float, float]:
 
 def input_axes(record: Record, offset: float, names: Sequence[str], units: Sequence[str]
                ) -> tuple[Axes, ...]:
-    """Return the inputs of a record, those of one unit together."""
+    """Return the inputs of a record, those of one unit together; as sent, too, if that differs."""
     groups: dict[str, list[Curve]] = {}
-    for j, (signal, column) in enumerate(_columns(record.inputs)):
-        inside = _inside(signal, record)
-        own = groups.setdefault(units[j] or names[j], [])
-        own.append(Curve(signal.time[inside] + offset, signal.values[inside, column], names[j],
-                         3 + (j + 3) % 4 if j < 4 else j % 7,
-                         'steps' if signal.hold == 'zoh' else 'line', width=1.2))
+    for j, ((signal, column), sent) in enumerate(zip(
+            _columns(record.inputs), _columns(record.commands), strict=True)):
+        own, colour = groups.setdefault(units[j] or names[j], []), 3 + (j + 3) % 4 if j < 4 else \
+            j % 7
+        acts = sent[0].hold != signal.hold or not np.array_equal(
+            sent[0].values[:, sent[1]], signal.values[:, column])
+        for (one, k), name, shade in (
+                ((signal, column), names[j] + ', as it acts' * acts, colour),
+                *(((sent, f'{names[j]}, as sent', (colour + 1) % 7),) if acts else ())):
+            inside = _inside(one, record)
+            own.append(Curve(one.time[inside] + offset, one.values[inside, k], name, shade,
+                             'steps' if one.hold == 'zoh' else 'line', width=1.2))
     panels = [Axes(curves, label(', '.join(c.label for c in curves), unit * (unit in units)),
                    height=90.0) for unit, curves in groups.items()]
     last = panels[-1]
