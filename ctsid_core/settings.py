@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 
 from ctsid_core.errors import SettingsError
 
-LARGEST_INPUT = 1e12   # number of what lies before an input
+LARGEST_INPUT = 1e150  # number of what lies before an input: larger than any that is computed with
 LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s], ...
 _SHARE = 0.25          # ... as far as it is this part of a record at most
 _NEAREST = 1e-5        # times e within a record, that a mode decays at least
@@ -238,10 +238,6 @@ class Settings:
         each = [[0.0 if isinstance(v, str) else float(v) for v in self._each(kind, nu)]
                 for kind in Actuator._fields]
         return tuple(map(Actuator._make, zip(*each, strict=True)))
-
-    def timeouts(self, nu: int) -> tuple[float, ...]:
-        """Return the timeout of each of `nu` inputs [s]; 0 where it is to be found."""
-        return tuple(own.timeout for own in self.actuators(nu))
 
     def unknown_actuators(self, kind: str, nu: int) -> tuple[bool, ...]:
         """Return of which inputs one kind of actuator is to be found."""

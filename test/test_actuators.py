@@ -15,6 +15,7 @@ from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import acting, as_acting, in_words, known
+from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, Signal
 
 PLANT = plant([[0.0, 1.0], [-16.0, -4.8]], [[0.0], [16.0]], [[1.0, 0.0]])
@@ -191,3 +192,37 @@ def test_windows_that_do_not_reach_a_limit_keep_that_of_those_before():
     assert found.model.actuators == first.model.actuators
     assert any('as in windows before' in note for note in found.notes)
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize('rate', [1.0, 2.5, 4.0, 10.0])
+def test_ramps_that_end_with_a_message_have_no_stamp_beside_it(rate):
+    stamps = 0.05 * np.arange(400)
+    held = Signal(stamps, np.random.default_rng(2).choice((-1.0, 1.0), (400, 1)), 'zoh', ('u',))
+    acts, = acting((held,), (Actuator(rate_limit=rate),))
+    assert np.min(np.diff(acts.time)) > 1e-6
+    assert np.max(np.abs(np.diff(acts.values[:, 0]) / np.diff(acts.time))) < 1.0001 * rate
+
+
+def test_two_of_them_before_one_input():
+    rng, t, t_y = np.random.default_rng(1), np.arange(0.0, 40.0, FINE), np.arange(0.0, 40.0, 0.02)
+    t_u = np.cumsum(rng.uniform(0.3, 1.5, 60))
+    t_u = t_u[t_u < 40.0]
+    u = rng.uniform(-1.3, 1.3, len(t_u))
+    acts = brute(t, brute(t, u, 'limit', 0.6, t_u), 'rate_limit', 2.0, t)
+    y = held_response(PLANT, t, acts[:, np.newaxis], t_y)
+    found = identify(Record.from_arrays(t_u, u[:, np.newaxis], t_y, noisy(rng, y, 34.0),
+                                        input_hold='zoh'))
+    assert found.good, found.verdict.reason
+    assert found.model.actuators[0].limit == pytest.approx(0.6, rel=0.03)
+    assert found.model.actuators[0].rate_limit == pytest.approx(2.0, rel=0.03)
+    assert found.model.n == 2
+
+
+def test_sparse_commands_that_are_ramped_do_not_pause():
+    given = driven(4)
+    changes = np.flatnonzero(np.append(True, np.diff(given.inputs[0].values[:, 0]) != 0.0))
+    sparse = replace(given, inputs=(replace(
+        given.inputs[0], time=given.inputs[0].time[changes],
+        values=given.inputs[0].values[changes]),))
+    record = as_acting(sparse, (Actuator(rate_limit=5.0),))
+    assert between_pauses(record) == (record,)

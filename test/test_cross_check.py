@@ -327,7 +327,7 @@ def test_the_second_method_is_told_order_and_dead_time():
     assert asked[-1] == Settings(order=1, delay=(0.3,))
     stops = replace(found, model=replace(found.model, actuators=(Actuator(0.5),)))
     cross_checked(stops, given, identify_again)
-    assert asked[-1].timeouts(1) == (0.5,)
+    assert asked[-1].actuators(1) == (Actuator(timeout=0.5),)
 
 
 def with_delay(estimate: Estimate, delay: float, std: float) -> Estimate:

@@ -125,14 +125,14 @@ def test_delays_may_be_left_to_the_data():
 def test_timeouts_may_be_left_to_the_data():
     assert Settings().timeout == 'auto'
     mixed = Settings(timeout=('auto', 0.5))
-    assert mixed.timeouts(2) == (0.0, 0.5)
+    assert [own.timeout for own in mixed.actuators(2)] == [0.0, 0.5]
     assert mixed.unknown_actuators('timeout', 2) == (True, False)
     assert Settings.from_dict(mixed.to_dict()) == mixed
     for wrong in ('Auto', ('auto', 'x'), True, -1.0, 61.0):
         with pytest.raises(SettingsError, match='`timeout` is'):
             Settings(timeout=wrong)
     with pytest.raises(SettingsError, match='`timeout` has 2 values but there are 3 inputs'):
-        mixed.timeouts(3)
+        mixed.actuators(3)
 
 
 def test_delays_are_one_for_all_or_one_each():

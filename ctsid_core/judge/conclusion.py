@@ -144,7 +144,8 @@ def changes_explain_more(solution: Solution, acted: Solution) -> bool:
     before, after = ((1.0 - 0.01 * fit) ** 2 for fit in change.two)
     two = change.share * before + (1.0 - change.share) * after
     samples, fit, _ = acted.simulated
-    return change.cost > NOTED and _CLEARLY * two < float(np.max(samples.mean(fit.power)))
+    return change.cost > NOTED and change.share > 0.0 and _CLEARLY * two < float(
+        np.max(samples.mean(fit.power)))
 
 
 def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:

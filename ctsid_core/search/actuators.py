@@ -27,7 +27,7 @@ from ctsid_core.search.commands import Acting, Commands, Start, commands_of, wit
 from ctsid_core.search.solution import DISTURBED, TIMEOUT, Doubt, Solution
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
-from ctsid_core.settings import Actuator, Settings
+from ctsid_core.settings import LONGEST_DELAY, Actuator, Settings
 from ctsid_core.signals.actuators import in_words
 from ctsid_core.signals.record import channel_slices
 
@@ -181,16 +181,20 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     smaller = sorted((one for one, _ in model.smaller), key=lambda one: one.n)[-1:]
     starts = [*((one.poles, one.delay) for one in (fit.model, *smaller)),
               *_starts(commands.samples, free, fit.model.delay)]
-    screen = replace(commands, samples=commands.samples.thinned(_SCREENED), made={})
+    screen = replace(commands, samples=commands.samples.thinned(_SCREENED))
     own = given = commands.reached(acting, starts[:1])
     known = acting
     while own is not None:
         own, acting = _nearer(commands, own, acting, sought)
         best = _next(commands, screen, acting, sought, starts)
-        if best is None or _gain(best[0], own, 1) < _SURELY or effort.beyond(SEARCH):
+        if best is None or effort.beyond(SEARCH):
+            break
+        # Another start may be what is better of it.
+        starts[0] = best[0].fit.model.poles, best[0].fit.model.delay
+        same = commands.reached(acting, starts[:1]) or own
+        if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1) < _SURELY:
             break
         own, acting = best
-        starts[0] = own.fit.model.poles, own.fit.model.delay
     if own is None or given is None or _gain(own, given, 0) < _CHANCE:
         return known, False
     return acting, _surely(own, given, _count(acting) - _count(known))
@@ -219,7 +223,8 @@ def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, Mod
     for channel, kind in told:
         def beside(part: float, channel: int = channel, kind: str = kind) -> Fit | None:
             value = (1.0 + part) * getattr(acting[channel], kind)
-            return commands.at(with_number(acting, [channel], kind, value), start, own.fit)
+            return commands.at(commands.acting(with_number(acting, [channel], kind, value)),
+                               start, own.fit)
         for sign in (-1.0, 1.0):
             for step in _FARTHER:
                 one = beside(sign * step)
@@ -250,8 +255,7 @@ def _next(commands: Commands, screen: Commands, acting: Acting,
     """Return what most likely lies before an input, too, and the model with it."""
     found = list[tuple[Tried, Acting]]()
     for channels, kind in sought:
-        own = acting[channels[0]]
-        if getattr(own, kind) or kind != 'timeout' and any(own[1:]):    # one of them at most
+        if getattr(acting[channels[0]], kind):
             continue
         near = []
         for value in screen.values(channels[0], kind):
@@ -275,11 +279,13 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
 
         def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,
                  near: Fit = near, acting: Acting = acting) -> float:
-            one = commands.at(with_number(acting, channels, kind, value),
+            one = commands.at(commands.acting(with_number(acting, channels, kind, value)),
                               (near.model.poles, near.model.delay), near)
             return np.inf if one is None else one.cost
-        best = minimize_scalar(cost, method='bounded', bounds=(value / _NEAR, value * _NEAR),
-                               options={'xatol': _CLOSELY * value})
+        most = LONGEST_DELAY if kind == 'timeout' else np.inf
+        best = minimize_scalar(
+            cost, method='bounded', options={'xatol': _CLOSELY * value},
+            bounds=(value / _NEAR, min(value * _NEAR, most)))
         if not best.fun < near.cost or abs(best.x - value) < _CLOSELY * value:
             continue
         other = with_number(acting, channels, kind, float(best.x))

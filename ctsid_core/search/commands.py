@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ _VALUES = {           # and of the largest command, and of the range of all
     'backlash': (0.06, 0.15, 0.35), 'rate_limit': ()}
 _RATES, _SLOWEST, _FASTEST = 8, 8.0, 0.9    # so many rates, from 8 deviations of the command over
                                             # the length to this part of its fastest change
+_WORK = 5e3           # of computing what acts, for each sample of an input
 _STEPS = 3            # after so many steps of a climb; the best of each kind climbs on
 
 Start = tuple[ComplexArray, Array]     # poles and dead times
@@ -39,7 +40,6 @@ class Commands:
     samples: Samples
     levels: Sequence[Array]     # that were taken off the inputs of each record, (nu,)
     free: Free
-    made: dict[tuple[int, int, Actuator], Signal] = field(default_factory=dict)
 
     def acting(self, actuators: Mapping[int, Actuator]) -> Samples:
         """Return the samples with inputs as they act."""
@@ -52,22 +52,20 @@ class Commands:
         signal = self.samples.records[record].inputs[channel]
         if not any(own):
             return signal
-        if (record, channel, own) not in self.made:
-            self.made[record, channel, own] = behind(
-                signal, own, float(self.levels[record][channel]))
-        return self.made[record, channel, own]
+        self.samples.effort.spend(_WORK * len(signal.time))
+        return behind(signal, own, float(self.levels[record][channel]))
 
-    def at(self, actuators: Mapping[int, Actuator], start: Start,
-           near: Fit | None = None) -> Fit | None:
-        """Return the model with some poles and dead times, if there is one."""
+    def at(self, acting: Samples, start: Start, near: Fit | None = None) -> Fit | None:
+        """Return the model of what acts with some poles and dead times, if there is one."""
         with suppress(np.linalg.LinAlgError):
-            return fit_at(self.acting(actuators), *start, self.free, near, slopes=False)
+            return fit_at(acting, *start, self.free, near, slopes=False)
         return None
 
     def climbed(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Fit | None:
         """Return what the best of some starts leads to in a few steps."""
-        fits = [one for start in starts if (one := self.at(actuators, start)) is not None]
-        return climb_roughly(self.acting(actuators), min(fits, key=lambda f: f.cost), self.free,
+        acting = self.acting(actuators)
+        fits = [one for start in starts if (one := self.at(acting, start)) is not None]
+        return climb_roughly(acting, min(fits, key=lambda f: f.cost), self.free,
                              steps=_STEPS) if fits else None
 
     def reached(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Tried | None:

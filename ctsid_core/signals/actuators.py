@@ -20,6 +20,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.settings import Actuator
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
+_APART = 1e-6           # [s] that a ramp ends from a message: nearer ones are one instant
 _WORDS = {
     'timeout': 'counts as 0 from {:.3g} s after a message on, until the next one',
     'dead_zone': 'moves nothing by the first {:.3g}{unit} from 0',
@@ -57,8 +58,9 @@ def known(record: Record, actuators: Sequence[Actuator]) -> Record:
 
 def _settled(signal: Signal, actuator: Actuator) -> float:
     """Return when what acts is the same, wherever it began among all that was sent, and rest."""
+    moves = behind(signal, actuator._replace(backlash=0.0, rate_limit=0.0)).values
     ends = [behind(signal, actuator, begin=begin) for begin in (
-        np.min(signal.values, initial=0.0), np.max(signal.values, initial=0.0))]
+        np.min(moves, initial=0.0), np.max(moves, initial=0.0))]
     times = np.union1d(ends[0].time, ends[1].time)
     one, other = (np.interp(times, end.time, end.values[:, 0]) if end.hold == 'linear' else
                   end.values[:, 0] for end in ends)
@@ -147,7 +149,7 @@ def _ramped(signal: Signal, rate: float, begin: float | None) -> Signal:
         times.append(start)
         places.append(place)
         reached = start + abs(value - place) / rate
-        if start < reached < end:
+        if start + _APART < reached < end - _APART:
             times.append(reached)
             places.append(value)
         place = value if reached < end else place + copysign(rate * (end - start), value - place)

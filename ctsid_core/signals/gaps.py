@@ -40,9 +40,9 @@ def between_pauses(record: Record, lost: bool = False) -> tuple[Record, ...]:
     be used, or with one sample of an output, are left out, but where most samples are in such
     parts the record is returned as it is.
     """
-    signals = (*record.inputs, *record.outputs)
+    signals = (*record.commands, *record.outputs)
     pauses = _silent(np.unique(np.concatenate([s.time for s in signals])), signals, record)
-    for s in record.inputs:
+    for s in record.commands:
         if s.hold != 'zoh':
             pauses += _silent(np.union1d(s.time, record.end), (s,), record)
     pauses += silences(record) if lost else []
@@ -153,9 +153,11 @@ def _part(record: Record, first: float, last: float) -> Record:
     """
     Return what is from the end of a pause to the start of the next one.
 
-    An input that missed no samples in a pause is known through it, and is kept from before.
+    An input that missed no samples in a pause is known through it, and is kept from before, and so
+    is what acts of one that is held.
     """
-    inputs = tuple(_known(s, first, last, record) for s in record.inputs)
+    inputs = record.inputs if record.sent and all(s.hold == 'zoh' for s in record.sent) else tuple(
+        _known(s, first, last, record) for s in record.inputs)
     outputs = tuple(replace(s, time=s.time[rows], values=s.values[rows])
                     for s in record.outputs for rows in [s.rows(first, last)])
     return replace(record, inputs=inputs, outputs=outputs, start=max(first, record.start),
