@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import butter, lfilter, lsim
 
-from ctsid_core import Record
+from ctsid_core import Record, Settings
 from ctsid_core.bases.hermite_functions import hermite_functions
 
 
@@ -27,6 +27,10 @@ class Plant:
     @property
     def poles(self) -> np.ndarray:
         return np.linalg.eigvals(self.A)
+
+
+# Whatever lies before a plant is taken for a part of it.
+LINEAR = Settings(dead_zone=0.0, limit=0.0, backlash=0.0, rate_limit=0.0)
 
 
 def plant(A, B, C, D=None) -> Plant:

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import held_response, noisy, plant
+from plants import LINEAR, held_response, noisy, plant
 import pytest
 
 from ctsid_core.identify import identify
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
-from ctsid_core.settings import Actuator, Settings
+from ctsid_core.settings import Actuator
 from ctsid_core.signals.actuators import acting, as_acting, in_words, known
 from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, Signal
@@ -21,7 +21,7 @@ from ctsid_core.signals.record import Record, Signal
 PLANT = plant([[0.0, 1.0], [-16.0, -4.8]], [[0.0], [16.0]], [[1.0, 0.0]])
 FINE = 0.001        # [s]
 EACH = {'dead_zone': 0.3, 'limit': 0.7, 'backlash': 0.4, 'rate_limit': 1.5}
-NONE = dict.fromkeys(EACH, 0.0)
+
 
 
 def brute(t, u, kind: str, value: float, t_u) -> np.ndarray:
@@ -91,7 +91,7 @@ def test_what_lies_before_a_plant_is_found_and_the_plant_behind_it_is_right(kind
     assert any(note in found.notes for note in in_words(found.model.input_names, (own,)))
     # Motions of other sizes, which linear models of this record do not tell
     other = driven(seed + 50, kind, EACH[kind], size=2.0, noise=None)
-    linear = identify(driven(seed, kind, EACH[kind]), Settings(**NONE))
+    linear = identify(driven(seed, kind, EACH[kind]), LINEAR)
     line = linear.model or linear.rejected_model
     assert not any(line.actuators[0])
     fits = [simulation(m, other, trim='refit').fit[0] for m in (found.model, line)]

@@ -12,7 +12,7 @@ import re
 
 from marks import slow
 import numpy as np
-from plants import held_response, noisy, plant
+from plants import LINEAR, held_response, noisy, plant
 import pytest
 from test_change import drifting
 
@@ -255,8 +255,7 @@ def test_a_search_keeps_what_its_models_were_of_the_samples_it_looked_at():
 def test_a_middle_that_the_record_does_not_show_is_not_taken():
     """A staircase that saturates: GOOD, with 80.6 % of another flight, 90 are reachable."""
     given = experiment('saturation-30', 70, 1)
-    found = identify(given.record, Settings(dead_zone=0.0, limit=0.0, backlash=0.0,
-                                            rate_limit=0.0))
+    found = identify(given.record, LINEAR)
     assert found.verdict.grade is not Grade.GOOD
     found = identify(given.record)              # with what lies before the plant it is right
     assert found.verdict.grade is Grade.GOOD

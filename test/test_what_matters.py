@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import held_response, noisy, plant
+from plants import LINEAR, held_response, noisy, plant
 import pytest
 from scipy.linalg import block_diag, expm
 from scipy.signal import lfilter
@@ -80,7 +80,7 @@ def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed
                                                                     order, rivals):
     """A state is not bought for a disturbance, nor missed for a plant's curve that is coloured."""
     given = experiment(family, seed, number)
-    found, other = identify(given.record), identify(given.record, Settings(order=counted))
+    found, other = (identify(given.record, LINEAR.replace(order=n)) for n in (0, counted))
     assert found.settings.order == order
     fits = [np.mean(simulated(e.model or e.rejected_model, given.test)) for e in (found, other)]
     assert fits[0] > fits[1] + 1.0
@@ -206,7 +206,7 @@ def test_what_other_orders_tell_otherwise_is_not_known(family, seed, number):
     away from them.
     """
     given = experiment(family, seed, number)
-    found = identify(given.record, given.settings)
+    found = identify(given.record, LINEAR)
     assert np.mean(simulated(found.model or found.rejected_model, given.test)) < 75.0
     assert found.verdict.grade is not Grade.GOOD
     assert 'models that may be as right' in found.verdict.reason
