@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 
 from ctsid_core.errors import SettingsError
 
-LARGEST_INPUT = 1e150  # number of what lies before an input: larger than any that is computed with
+LARGEST_INPUT = 1e12   # number of what lies before an input
 LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s], ...
 _SHARE = 0.25          # ... as far as it is this part of a record at most
 _NEAREST = 1e-5        # times e within a record, that a mode decays at least

@@ -27,7 +27,7 @@ from ctsid_core.search.commands import Acting, Commands, Start, commands_of, wit
 from ctsid_core.search.solution import DISTURBED, TIMEOUT, Doubt, Solution
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
-from ctsid_core.settings import LONGEST_DELAY, Actuator, Settings
+from ctsid_core.settings import LARGEST_INPUT, LONGEST_DELAY, Actuator, Settings
 from ctsid_core.signals.actuators import in_words
 from ctsid_core.signals.record import channel_slices
 
@@ -282,7 +282,7 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
             one = commands.at(commands.acting(with_number(acting, channels, kind, value)),
                               (near.model.poles, near.model.delay), near)
             return np.inf if one is None else one.cost
-        most = LONGEST_DELAY if kind == 'timeout' else np.inf
+        most = LONGEST_DELAY if kind == 'timeout' else LARGEST_INPUT
         best = minimize_scalar(
             cost, method='bounded', options={'xatol': _CLOSELY * value},
             bounds=(value / _NEAR, min(value * _NEAR, most)))

@@ -14,7 +14,7 @@ from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.tried import Tried, roughly
-from ctsid_core.settings import Actuator
+from ctsid_core.settings import LARGEST_INPUT, Actuator
 from ctsid_core.signals.actuators import behind
 from ctsid_core.signals.gaps import silent_between
 from ctsid_core.signals.record import Signal
@@ -84,10 +84,12 @@ class Commands:
         if kind == 'rate_limit':
             steps = [np.max(np.abs(np.diff(u)), initial=0.0) / s.period for s, u in inputs]
             slow = _SLOWEST * float(np.std(u)) / self.samples.length
-            return list(np.geomspace(slow, max(_FASTEST * max(steps), slow), _RATES).tolist())
-        size = 1.0 if kind == 'timeout' else float(
-            np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
-        return [share * size for share in _VALUES[kind]]
+            values = np.geomspace(slow, max(_FASTEST * max(steps), slow), _RATES).tolist()
+        else:
+            size = 1.0 if kind == 'timeout' else float(
+                np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
+            values = [share * size for share in _VALUES[kind]]
+        return [value for value in values if value <= LARGEST_INPUT]
 
     def silent(self, channel: int) -> bool:
         """Return whether an input that is held is silent, and not at rest."""

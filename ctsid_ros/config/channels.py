@@ -4,22 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import combinations
 import math
 import re
-from typing import Literal
+from typing import Any, Literal
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.settings import (
-    HOLDS,
-    LARGEST_INPUT,
-    Hold,
-    Settings,
-    parameter,
-    parameter_name,
-    value_faults,
-)
+from ctsid_core.settings import HOLDS, Hold, Settings, parameter, parameter_name, value_faults
 from ctsid_ros.config.node_settings import NODE_KEYS, NodeSettings
 from ctsid_ros.decoding.field_path import FieldPath, ParseError, parse_field
 
@@ -30,6 +22,14 @@ RESERVED = {key.split('.')[0] for key in (*SETTINGS_KEYS, *NODE_KEYS)} | {
     *ROLE_LISTS, 'use_sim_time', 'qos_overrides', 'start_type_description_service'}
 _NAME = re.compile(r'[A-Za-z_]\w*', re.ASCII)
 _TYPE = re.compile(r'[A-Za-z]\w*(/msg)?/[A-Za-z]\w*', re.ASCII)
+
+
+def _of_input(key: str) -> Any:
+    """Return the declaration of what each input has of its own, from that of the settings."""
+    found = {**SETTINGS_KEYS[key].metadata}
+    found['doc'] = found['doc'].replace('a held input', 'this input').replace(
+        ': one for all, or one per input; ', '; ')
+    return field(default='auto', metadata=found)
 
 
 @dataclass(frozen=True)
@@ -83,27 +83,10 @@ class Channel:
         unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
         when='Set it to the timeout of the driver (cmd_vel_timeout), or to 0.0 where the last '
         'command goes on.')
-    dead_zone: float | str = parameter(
-        'auto', 'How much of this input, if it is held, moves nothing, from 0 on; 0.0: none; '
-        'auto: found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',),
-        structural=True,
-        when='Set it to the dead band of the driver, or to 0.0 where small commands act.')
-    limit: float | str = parameter(
-        'auto', 'How much of this input, if it is held, acts at most, of either sign; 0.0: all '
-        'of it; auto: found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',),
-        structural=True,
-        when='Set it to the limit of the driver or motor (max_velocity), or to 0.0 where large '
-        'commands act.')
-    backlash: float | str = parameter(
-        'auto', 'Play between this input, if it is held, and what it moves; 0.0: none; auto: '
-        'found from the data.', low=0.0, high=LARGEST_INPUT, words=('auto',), structural=True,
-        when='Set it to 0.0 where there is no gear.')
-    rate_limit: float | str = parameter(
-        'auto', 'How fast what acts of this input, if it is held, changes at most, in its unit '
-        'per second; 0.0: at once; auto: found from the data.', low=0.0, high=LARGEST_INPUT,
-        words=('auto',), structural=True,
-        when='Set it to the limit of the driver (max_acceleration of a velocity), or to 0.0 where '
-        'commands act at once.')
+    dead_zone: float | str = _of_input('dead_zone')
+    limit: float | str = _of_input('limit')
+    backlash: float | str = _of_input('backlash')
+    rate_limit: float | str = _of_input('rate_limit')
     turn: float = parameter(
         0.0, 'A full turn, of an angle that wraps: of two neighbours the second is moved by as '
         'many turns as bring it nearest to the first; 0.0 leaves the values as they are. Angles '
