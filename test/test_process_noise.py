@@ -289,6 +289,37 @@ def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_the_rest(seed, le
     assert found.held_out_fit[0] > least
 
 
+def counted(seed: int, every: float, pushed: bool = True) -> Record:
+    """Return the speed of a motor by counts of its encoder, with three pushes; pole -6.7."""
+    rng, h, n = np.random.default_rng(seed), 0.001, 20000
+    t = h * np.arange(n)
+    u = rng.uniform(-1.0, 1.0, n)[(t / every).astype(int)]
+    load = np.zeros(n)
+    for start in rng.uniform(1.0, 19.0, 3) * pushed:
+        load[(t > start) & (t < start + rng.uniform(0.05, 0.15))] = rng.choice([-1.0, 1.0])
+    load *= 0.12 / max(np.std(load), 1.0 - pushed)
+    stays = np.exp(-h / 0.15)
+    speed = 10.0 * lfilter([0.0, 1.0 - stays], [1.0, -stays], u + load)
+    counts = np.cumsum(speed)[::10] * h * 320.0
+    y = np.diff(np.floor(counts) if pushed else counts) / 3.2
+    y += 0.02 * np.std(y) * rng.standard_normal(len(y)) * pushed
+    return Record.from_arrays(t[::10], u[::10], t[10::10], y, input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seed', 'every'), [(1, 0.1), (2, 0.1), *slow((15, 0.1), (15, 0.4))])
+def test_what_is_held_out_is_simulated_without_a_filter(seed, every):
+    """
+    The filter of the rest was not stable, or its fastest mode alternated: seven of 40 untested.
+
+    All are GOOD, and simulate 91 to 98 % of another run without noise.
+    """
+    found = identify(counted(seed, every))
+    assert found.verdict.grade is Grade.GOOD
+    assert np.isfinite(found.held_out_fit).all()
+    other = counted(seed + 100, every, pushed=False)
+    assert simulation(found.model, other, trim='refit').fit[0] > 90.0
+
+
 @pytest.mark.parametrize(('family', 'seed', 'number', 'least'), [
     ('turbulence-weak', 3, 5, 90.0), *slow(
         ('second-input', 39, 1, 92.0), ('turbulence-weak', 3, 6, 95.0)),
@@ -477,8 +508,8 @@ def test_states_do_not_imitate_what_nobody_measured(seed, number, least):
 
 @pytest.mark.parametrize(('edge', 'seed'), [(5.0, 1), *slow((5.0, 0), (10.0, 3)), pytest.param(
     10.0, 1, marks=[pytest.mark.slow, pytest.mark.xfail(
-        strict=False, reason='simulates 97.9 % with eight states, WEAK: untested, for the parts '
-        'that are learnt give no such model')])])
+        strict=False, reason='simulates 97.9 % with eight states, WEAK: of the parts that '
+        'are learnt a mode grows')])])
 @pytest.mark.parametrize('feedthrough', [True, *slow(False)])
 def test_noise_that_a_filter_has_passed_does_not_cost_the_plant(feedthrough, edge, seed):
     """

@@ -311,9 +311,12 @@ def is_stable(plant: Matrices) -> bool:
     return bool(np.all(poles.real <= _STABLE * np.max(np.abs(poles), initial=0.0)))
 
 
-def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices | None:
+def plant_of(fit: Fit, samples: Samples, record: int, limit: float, *,
+             predicts: bool = True) -> Matrices | None:
     """
     Return the plant of a predictor (1), with the trim of a record; None if there is none.
+
+    What only simulates needs no filter and has no K; modes that alternate decay there as fast.
 
     Modes whose poles have a real part beyond `limit` are put there. That of simulations is just
     beside 0: then initial state and trim make the ramp that an offset of an input makes of an
@@ -326,7 +329,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices 
     try:
         moved, held = _from_sample_to_sample(m.A, K, m.C, step)
         found = _logarithm(moved) / step
-        if np.abs(found.imag).max() > 1e-6 * np.abs(found).max():
+        if predicts and np.abs(found.imag).max() > 1e-6 * np.abs(found).max():
             return None                        # of no plant whose numbers are real
         A = found.real
         values, right = np.linalg.eig(A)
@@ -337,8 +340,9 @@ def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices 
         transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
         back = np.linalg.solve(integral, held)
         drive = back @ K                       # of the innovations
-        gain = continuous_gain(A, m.C, np.linalg.solve(transition, integral @ drive), step)
-        if not np.all(np.linalg.eigvals(A - gain @ m.C).real < 0.0):
+        gain = continuous_gain(A, m.C, np.linalg.solve(transition, integral @ drive), step) \
+            if predicts else m.K
+        if predicts and not np.all(np.linalg.eigvals(A - gain @ m.C).real < 0.0):
             return None                        # it predicts at these samples' rate, at no other
     except np.linalg.LinAlgError:
         return None

@@ -80,7 +80,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         joint, top, own = predictor
         rest = kept(joint.thinned(_SEARCHED))
         top = climb_roughly(rest, fit_at(rest, top.model.poles, top.model.delay, own), own)
-        m = plant_of(top, rest, 0, free.limit)
+        m = plant_of(top, rest, 0, free.limit, predicts=False)
         # Two integrators hardly differ; here six digits are enough.
         plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu], SOUND)
         return None if plant is None else fit_states(early, plant, free)
