@@ -289,6 +289,34 @@ def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_the_rest(seed, le
     assert found.held_out_fit[0] > least
 
 
+def gusty_lag(seed: int, every: int, gusts: float = 0.15) -> Record:
+    """Return a lag of 1 s under ramps of 1.5 s, in gusts as slow; outputs at 500 Hz / every."""
+    rng, n, stays = np.random.default_rng(seed), 15000, np.exp(-0.002)
+    t, knots = 0.002 * np.arange(n), 1.5 * np.arange(20)
+    u = np.interp(t, knots, np.repeat(rng.uniform(-1.0, 1.0, 10), 2))[::10].repeat(10)
+    gust = lfilter([np.sqrt(1.0 - stays ** 2)], [1.0, -stays], rng.standard_normal(n))
+    y = lfilter([0.0, 1.0 - stays], [1.0, -stays], u + gusts * gust)
+    y += 0.02 * rng.standard_normal(n) * np.sign(gusts)
+    return Record.from_arrays(t[::10], u[::10], t[::every], y[::every], input_hold='zoh')
+
+
+@pytest.mark.parametrize('seed', [3, *slow(4, 8, 9)])
+def test_a_verdict_does_not_hinge_on_how_fast_outputs_are_sampled(seed):
+    """
+    Within 50 samples of 2 ms responses had deviations of 15 to 32 %, and were WEAK.
+
+    Models at 50, 250 and 500 Hz simulate 81 to 97 % of another run without gusts.
+    """
+    unsure = []
+    for every in (10, 2, 1):
+        found = identify(gusty_lag(seed, every))
+        assert found.verdict.grade is Grade.GOOD
+        other = gusty_lag(seed + 100, 10, gusts=0.0)
+        assert simulation(found.model, other, trim='refit').fit[0] > 80.0
+        unsure.append(found.verdict.excitation[0].uncertainty)
+    assert max(unsure) < 1.25 * min(unsure)
+
+
 def counted(seed: int, every: float, pushed: bool = True) -> Record:
     """Return the speed of a motor by counts of its encoder, with three pushes; pole -6.7."""
     rng, h, n = np.random.default_rng(seed), 0.001, 20000

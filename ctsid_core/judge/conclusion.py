@@ -86,8 +86,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     effort.check()
     apart = rivals_apart(samples, fit.model, () if solution.by_prediction else solution.rivals)[
         :len(last.u)]
-    seen = excitations(samples, last, covariance, model, min(_within(solution), samples.length),
-                       apart)
+    seen = excitations(samples, last, covariance, model, _ahead(solution), apart)
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)),
@@ -252,8 +251,9 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
 
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
               changing: tuple[Change, Drift],
-              seen: tuple[tuple[Excitation, ...], Array], model: StateSpace, moving: StateSpace,
-              deviation: Array, curves: Array, lead: Array, apart: Array) -> Evidence:
+              seen: tuple[tuple[Excitation, ...], Array, float], model: StateSpace,
+              moving: StateSpace, deviation: Array, curves: Array, lead: Array,
+              apart: Array) -> Evidence:
     part, power, (change, drift) = solution.part, solution.fit.power, changing
     last, effort = part.parts[part.last], solution.samples.effort
     whole = last.whole
@@ -302,7 +302,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         at_once=tuple(np.ravel(at_once).tolist()),
         follows_at_once=solution.doubt is not None and solution.doubt[1] == DIRECT
-        and never_rest([p.record for p in part.parts]), within=_within(solution), drift=drift,
+        and never_rest([p.record for p in part.parts]), within=seen[2], drift=drift,
         drifting=f' within record {part.numbers[drift.record]}'
         if part.several and drift.record >= 0 else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))
@@ -338,8 +338,8 @@ def _drift(solution: Solution) -> Drift:
     return max(drift, varying, key=lambda one: one.cost)
 
 
-def _within(solution: Solution) -> float:
-    """Return the time within which the response is asked for [s]: as far as predictions go."""
+def _ahead(solution: Solution) -> float:
+    """Return how far predictions go [s], within the record; infinite if there are none."""
     return np.inf if solution.plant is None else min(
         HORIZONS[-1] * held_interval(solution.source[0]), solution.samples.length)
 

@@ -40,21 +40,33 @@ _LEFT = 0.03          # of the motion of an input: its sines are alike that have
 
 
 def excitations(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
-                ahead: float, apart: Array) -> tuple[tuple[Excitation, ...], Array]:
+                ahead: float, apart: Array) -> tuple[tuple[Excitation, ...], Array, float]:
     """
-    Return the excitation of each moving input, and how unsure the response of each output is.
+    Return the excitation of each moving input, how unsure each output's response is, and when.
 
     Of the channels of `part`: what further inputs `samples` has does not count. Model and
-    covariance, of all channels, are asked for what the model does in a time `ahead` [s]: of a
-    simulation that is the record, of predictions how far they go. `apart`, (nu,): how far
+    covariance, of all channels, are asked for what the model does in a time [s]: of a simulation
+    the record, and `ahead` is infinite; of predictions as far `ahead` as they go, and at least one
+    over the mean frequency of what inputs move. Sooner a plant does what is of frequencies that
+    nothing moves: that would hinge on how fast outputs are sampled. `apart`, (nu,): how far
     `rivals_apart` are.
     """
     omega, lines, sent, acting = _input_spectra(samples, np.array(model.delay)[list(part.u)])
-    weight = np.abs(lines.T) ** 2
+    weight, growth = np.abs(lines.T) ** 2, np.max(model.poles.real, initial=0.0)
+
     # That tells a mean over a width of 1 / ahead, of modes that do not decay beside their growth.
-    width = 1.0 / ahead + np.max(model.poles.real, initial=0.0)
-    response = _moving(replace(model, A=model.A - width * np.eye(model.n)).frequency_response(
-        omega), part) / samples.size[:, np.newaxis]
+    def seen_over(width: float) -> ComplexArray:
+        return _moving(replace(model, A=model.A - width * np.eye(model.n)).frequency_response(
+            omega), part) / samples.size[:, np.newaxis]
+
+    width = 1.0 / samples.length + growth
+    response = seen_over(width)
+    if ahead < samples.length:
+        power = np.sum(weight * np.sum(np.abs(response) ** 2, axis=1), axis=1)
+        ahead = float(np.clip(power.sum() / max(float(power @ omega), 1e-300), ahead,
+                              samples.length))
+        width = 1.0 / ahead + growth
+        response = seen_over(width)
     variance, moved = _uncertain(samples, part, covariance, model, omega, lines, width)
     own, answer = _uncorrelated(sent), np.sum(np.abs(response) ** 2, axis=1)
     found = []
@@ -75,7 +87,7 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     seen = np.einsum('fij,jf->fi', response, lines)
     with np.errstate(invalid='ignore', divide='ignore'):
         by_output = np.sqrt(moved / np.sum(np.abs(seen) ** 2, axis=0))
-    return tuple(found), np.nan_to_num(by_output, nan=np.inf)
+    return tuple(found), np.nan_to_num(by_output, nan=np.inf), ahead
 
 
 def rivals_apart(samples: Samples, model: ModalModel,
