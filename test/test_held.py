@@ -7,6 +7,7 @@ from marks import slow
 import numpy as np
 from plants import held_response, plant
 import pytest
+from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, identify
 from ctsid_core.model.validation import simulation
@@ -57,3 +58,26 @@ def test_steps_are_steps(every, seed):
 @pytest.mark.parametrize('hold', ['zoh', *slow('linear', 'smooth')])
 def test_where_samples_are_many_nothing_is_asked(hold):
     assert identify(moved(1, 'sines', 5, hold), Settings(feedthrough=False)).good
+
+
+def in_loop(seed: int, gain: float = 4.0) -> Record:
+    """Return lags of 25 and 3 rad/s under a PI controller at 100 Hz, commands as they are sent."""
+    rng, h, count = np.random.default_rng(seed), 0.01, 1000
+    wanted = np.repeat(rng.choice([-1.0, 0.0, 1.0], count // 50), 50)
+    joined = expm(h * np.array([[-25.0, 0.0, 25.0], [3.0, -3.0, 0.0], [0.0, 0.0, 0.0]]))
+    u, y, x, total = np.empty(count), np.empty(count), np.zeros(2), 0.0
+    for k in range(count):
+        y[k] = x[1] + 0.06 * rng.standard_normal()
+        total += 0.05 * gain * (wanted[k] - y[k])
+        u[k] = gain * (wanted[k] - y[k]) + total
+        x = joined[:2, :2] @ x + joined[:2, 2] * u[k]
+    t = h * np.arange(count)
+    return Record.from_arrays(t, u, t, y, input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seed', 'gain'), [(3, 4.0), (33, 4.0), *slow((36, 4.0), (19, 6.0))])
+def test_lines_to_the_next_command_of_a_loop_know_the_noise(seed, gain):
+    """Six of 80 were WEAK, for a controller makes the next command of the noise till then."""
+    found = identify(in_loop(seed, gain), Settings(feedthrough=False))
+    assert found.verdict.grade is Grade.GOOD
+    np.testing.assert_allclose(np.sort(found.model.poles), [-25.0, -3.0], rtol=0.12)

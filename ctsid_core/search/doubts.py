@@ -31,7 +31,7 @@ from ctsid_core.signals.record import channel_slices
 def doubt_of_hold(task: Task, samples: Samples, found: dict[int, Tried], best: Tried,
                   free: Free) -> Doubt | None:
     """Return that an input is not held as it is said to be, and what to set, if so."""
-    other = other_hold(samples, found, best, free)
+    other = other_hold(samples, found, best, free, not task.settings.feedthrough)
     if other is None:
         return None
     place, hold = other
