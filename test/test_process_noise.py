@@ -442,10 +442,7 @@ def flown_again(given) -> Record:
 
 
 @pytest.mark.parametrize(('family', 'number'), [
-    ('quadratic-drag', 2),
-    pytest.param('saturation-30', 4, marks=[pytest.mark.slow, pytest.mark.xfail(
-        reason='of its own record a model fits 98 %, that of both 93: REJECT, CHANGED')]),
-    *slow(('quadratic-drag', 4))])
+    ('quadratic-drag', 2), *slow(('saturation-30', 4), ('quadratic-drag', 4))])
 def test_a_plant_that_is_not_linear_is_one_plant(family, number):
     """Drag is told by curves of both records, whatever their noise is, not by another plant."""
     given = experiment(family, 2, number)
