@@ -40,6 +40,7 @@ _CLOSELY = 0.003      # it is looked for no more closely
 _STARTS = 2           # pairs of poles that it is looked for with, too
 _SOONER = 0.5         # times the dead time: of what is sent it may stand for what drags
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
+_BEST = 5             # ... and of the best ones of each kind so many climb on
 _FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
 _PASSES = 4           # in which numbers are found, one after the other
 _ROUNDS = 6           # as often it is looked for, unless it is hardly likelier then
@@ -185,7 +186,6 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     own = given = commands.reached(acting, starts[:1])
     known = acting
     while own is not None:
-        own, acting = _nearer(commands, own, acting, sought)
         best = _next(commands, screen, acting, sought, starts)
         if best is None or effort.beyond(SEARCH):
             break
@@ -194,7 +194,10 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         same = commands.reached(acting, starts[:1]) or own
         if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1) < _SURELY:
             break
-        own, acting = best
+        new = [one for one in sought if one not in _set(sought, acting)]
+        own, acting = _nearer(commands, *best, _set(new, best[1]))
+    if own is not None:
+        own, acting = _nearer(commands, own, acting, _PASSES * _set(sought, acting))
     if own is None or given is None or _gain(own, given, 0) < _CHANCE:
         return known, False
     return acting, _surely(own, given, _count(acting) - _count(known))
@@ -253,7 +256,7 @@ def _next(commands: Commands, screen: Commands, acting: Acting,
           sought: Sequence[tuple[tuple[int, ...], str]],
           starts: Sequence[Start]) -> tuple[Tried, Acting] | None:
     """Return what most likely lies before an input, too, and the model with it."""
-    found = list[tuple[Tried, Acting]]()
+    likely = list[tuple[float, Acting, Fit]]()
     for channels, kind in sought:
         if getattr(acting[channels[0]], kind):
             continue
@@ -262,19 +265,22 @@ def _next(commands: Commands, screen: Commands, acting: Acting,
             other = with_number(acting, channels, kind, value)
             if (one := screen.climbed(other, starts)) is not None:
                 near.append((one.cost, other, one))
-        if near:
-            _, other, one = min(near, key=lambda n: n[0])
-            best = commands.reached(other, [(one.model.poles, one.model.delay)])
-            if best is not None:
-                found.append((best, other))
+        likely += sorted(near, key=lambda n: n[0])[:1]
+    found = [(best, other) for _, other, one in sorted(likely, key=lambda n: n[0])[:_BEST] if (
+        best := commands.reached(other, [(one.model.poles, one.model.delay)])) is not None]
     return min(found, key=lambda one: one[0].fit.cost, default=None)
 
 
+def _set(sought: Sequence[tuple[tuple[int, ...], str]],
+         acting: Acting) -> list[tuple[tuple[int, ...], str]]:
+    """Return those that lie before inputs."""
+    return [(channels, kind) for channels, kind in sought if getattr(acting[channels[0]], kind)]
+
+
 def _nearer(commands: Commands, own: Tried, acting: Acting,
-            sought: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, Acting]:
-    """Return the same with the numbers that are likeliest, and the model with them."""
-    unknown = [(channels, kind) for channels, kind in sought if getattr(acting[channels[0]], kind)]
-    for channels, kind in _PASSES * unknown:
+            numbers: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, Acting]:
+    """Return the same with numbers that are likeliest, one after the other, and the model."""
+    for channels, kind in numbers:
         near, value = own.fit, getattr(acting[channels[0]], kind)
 
         def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,

@@ -62,8 +62,10 @@ class Commands:
         return None
 
     def climbed(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Fit | None:
-        """Return what the best of some starts leads to in a few steps."""
+        """Return what the best of some starts leads to in a few steps; the first of large ones."""
         acting = self.acting(actuators)
+        if acting.rank > 1:
+            return self.at(acting, starts[0])
         fits = [one for start in starts if (one := self.at(acting, start)) is not None]
         return climb_roughly(acting, min(fits, key=lambda f: f.cost), self.free,
                              steps=_STEPS) if fits else None
