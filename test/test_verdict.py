@@ -13,7 +13,17 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import Plant, held, held_response, match, noisy, plant, random_plant, random_signal
+from plants import (
+    LINEAR,
+    Plant,
+    held,
+    held_response,
+    match,
+    noisy,
+    plant,
+    random_plant,
+    random_signal,
+)
 import pytest
 from verdict_cases import curved, distance, excited, nothing, steps
 
@@ -600,7 +610,7 @@ def test_the_agreement_is_of_both_models():
 @pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
 def test_what_is_not_linear_is_not_good(what, seed):
     """Before the model, at its modes or after it; fits are up to 90 %, held out as well."""
-    verdict = judged(curved(seed, what))
+    verdict = judged(curved(seed, what), LINEAR)
     print(verdict.reason)
     assert verdict.curve_gain[0] > 6.0
     assert verdict.grade is Grade.WEAK
@@ -899,7 +909,7 @@ def test_curves_are_told_of_plants_that_predictions_found(curve):
     motor = plant([[-4.0, 12.0], [0.0, -50.0]], [[0.0], [50.0]], [[1.0, 0.0]])
     y = noisy(rng, held_response(motor, t, moved[:, np.newaxis], t), 26)
     verdict = judged(Record.from_arrays(t, u, t, y, input_hold='zoh'),
-                     Settings(feedthrough=False))
+                     LINEAR.replace(feedthrough=False))
     assert (verdict.grade is Grade.GOOD) == (curve == 'none')
     assert ('not linear in the inputs' in verdict.reason) == (curve != 'none')
 
