@@ -34,7 +34,7 @@ from ctsid_core.signals.record import channel_slices
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
 _MOST = 0.7           # times the error that is not noise, that what acts may leave, ...
-_LEFT = 0.1           # ... and of the motion: curves of sensors, seen at their outputs, leave more
+_LEFT = 0.06          # ... and of the motion: curves of sensors, seen at their outputs, leave more
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.003      # it is looked for no more closely
 _STARTS = 2           # pairs of poles that it is looked for with, too
@@ -192,9 +192,11 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         # Another start may be what is better of it.
         starts[0] = best[0].fit.model.poles, best[0].fit.model.delay
         same = commands.reached(acting, starts[:1]) or own
-        if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1) < _SURELY:
-            break
         new = [one for one in sought if one not in _set(sought, acting)]
+        (channels, _), = _set(new, best[1])
+        if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1) < _SURELY * (
+                1 + sum(map(bool, acting[channels[0]]))):
+            break
         own, acting = _nearer(commands, *best, _set(new, best[1]))
     if own is not None:
         own, acting = _nearer(commands, own, acting, _PASSES * _set(sought, acting))
