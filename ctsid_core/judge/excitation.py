@@ -27,6 +27,7 @@ from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.modal import steps_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
+from ctsid_core.signals.actuators import unramped
 from ctsid_core.signals.record import Signal
 
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
@@ -276,9 +277,10 @@ def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray
     power = np.abs(lines) ** 2
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.argsort(-strength, kind='stable')[:_LINES]
-    half_rates = np.array([rate for s in record.commands for rate in _half_rates(
+    held = unramped(inputs, record.commands)
+    half_rates = np.array([rate for s in held for rate in _half_rates(
         s.between(since, record.end))])
-    acting = np.diff(steps_of(record.commands, delay, record.start, t).inputs, axis=1)
+    acting = np.diff(steps_of(held, delay, record.start, t).inputs, axis=1)
     sent = (sent - sent.mean(axis=1, keepdims=True)) * np.sqrt(t[1] - t[0])
     return (omega[places], lines[:, places], sent,
             _Acting(acting, t[1] - t[0], half_rates))

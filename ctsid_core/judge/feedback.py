@@ -39,6 +39,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 from ctsid_core.search.by_prediction import plant_of
 from ctsid_core.search.solution import Solution
+from ctsid_core.signals.actuators import unramped
 from ctsid_core.signals.record import Record, Signal
 
 _PAST = 20            # samples of an input, over which the outputs are looked at
@@ -68,7 +69,7 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
     found = np.full((len(records), model.nu), np.inf)
     for row, record in zip(found, records, strict=True):
         j = 0
-        for signal in record.commands:
+        for signal in unramped(record.inputs, record.commands):
             rests = _rests(signal, record) if same_instant else [0.0] * signal.width
             for answer, rest in zip(_answers(signal, record, before), rests, strict=True):
                 if answer is not None and rest <= _MOVING * signal.period:

@@ -121,7 +121,8 @@ def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) ->
     """
     Return whether a model of inputs that act with so many more numbers is to be taken.
 
-    A timeout may leave what commands do that were lost; what `bends` inputs has to explain most.
+    A timeout may leave what commands do that were lost, and which look alike: it has to gain twice
+    as much. What `bends` inputs has to explain most.
     """
     if one.simulated is None:
         return False
@@ -131,14 +132,12 @@ def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) ->
     if not numbers:
         return _gain(own, tried(*other.simulated), 0) > 0.0
     rival = tried(*other.simulated)
-    # Where inputs drift, what acts has to explain more than that, whatever their numbers cost.
-    drifts = other.drifting is None or _gain(own, replace(
-        tried(*other.drifting), parameters=own.parameters), 0) > _SURELY
-    if other.drifting is not None and own.unexplained > _MOST * tried(
-            *other.drifting).unexplained:
-        return False
-    return drifts and (_surely(own, rival, numbers) if bends else
-                       _gain(own, rival, numbers, doubted=True) > _SURELY)
+    if other.drifting is not None:      # it has to explain more than that, whatever numbers cost
+        drift = replace(tried(*other.drifting), parameters=own.parameters)
+        if own.unexplained > 0.5 * drift.unexplained or _gain(own, drift, 0) < _SURELY:
+            return False
+    return _surely(own, rival, numbers) if bends else \
+        _gain(own, rival, numbers, doubted=True) > 2.0 * _SURELY
 
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
@@ -150,7 +149,7 @@ def _surely(one: Tried, other: Tried, numbers: int) -> bool:
 
 def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> float:
     """Return by how much a model of what acts is likelier than another, at the price of it."""
-    # Where it is right its errors are as independent as they seem.
+    # Where it is right its errors are as independent as they seem; what was lost looks alike.
     n_eff = np.maximum(np.minimum(one.independent, other.independent) if doubted else
                        one.independent, 2.0)
     ratio = np.log(np.maximum(other.power, 1e-24) / np.maximum(one.power, 1e-24))
@@ -186,16 +185,19 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     own = given = commands.reached(acting, starts[:1])
     known = acting
     while own is not None:
-        best = _next(commands, screen, acting, sought, starts)
+        # With a timeout that is new the model is another one: what else there is, that tells.
+        stops = [one for one in sought if one[1] == 'timeout']
+        best = _next(commands, screen, acting, stops if _set(stops, acting) != _set(
+            stops, known) else sought, starts)
         if best is None or effort.beyond(SEARCH):
             break
         # Another start may be what is better of it.
         starts[0] = best[0].fit.model.poles, best[0].fit.model.delay
         same = commands.reached(acting, starts[:1]) or own
         new = [one for one in sought if one not in _set(sought, acting)]
-        (channels, _), = _set(new, best[1])
-        if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1) < _SURELY * (
-                1 + sum(map(bool, acting[channels[0]]))):
+        (channels, kind), = _set(new, best[1])
+        if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1, kind == 'timeout') \
+                < _SURELY * (1 + sum(map(bool, acting[channels[0]]))):
             break
         own, acting = _nearer(commands, *best, _set(new, best[1]))
     if own is not None:

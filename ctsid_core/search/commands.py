@@ -62,13 +62,12 @@ class Commands:
         return None
 
     def climbed(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Fit | None:
-        """Return what the best of some starts leads to in a few steps; the first of large ones."""
+        """Return what the best of some starts leads to in a few steps; itself of large models."""
         acting = self.acting(actuators)
-        if acting.rank > 1:
-            return self.at(acting, starts[0])
         fits = [one for start in starts if (one := self.at(acting, start)) is not None]
-        return climb_roughly(acting, min(fits, key=lambda f: f.cost), self.free,
-                             steps=_STEPS) if fits else None
+        best = min(fits, key=lambda f: f.cost, default=None)
+        return best if best is None or acting.rank > 2 else climb_roughly(
+            acting, best, self.free, steps=_STEPS)
 
     def reached(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Tried | None:
         """Return the best of what some starts lead to."""

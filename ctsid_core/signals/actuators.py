@@ -68,6 +68,13 @@ def _settled(signal: Signal, actuator: Actuator) -> float:
     return float(times[np.argmax(same)]) if same.any() else np.inf
 
 
+def unramped(inputs: Sequence[Signal], sent: Sequence[Signal]) -> tuple[Signal, ...]:
+    """Return inputs as they act, but such that ramps drag as they were sent."""
+    each = [s.columns([j]) for s in sent for j in range(s.width)]
+    return tuple(own if own.hold == each[k.start].hold else each[k.start]
+                 for own, k in zip(inputs, channel_slices(inputs), strict=True))
+
+
 def behind(signal: Signal, actuator: Actuator, level: float = 0.0,
            begin: float | None = None) -> Signal:
     """
