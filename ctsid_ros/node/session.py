@@ -208,16 +208,21 @@ class Session:
             self._begun = None
         result = Identified(window, tracked, time.monotonic() - start,
                             skipped=self._worker.skipped - before)
-        if term != self._term:  # reset or stopped in the meantime
+        if not self._keep(term, result):  # reset or stopped in the meantime
             return
-        self._publish(result)
+        self._publish(result)       # who hears it may ask to save it at once
         if window.arrival_ns is not None:
-            result = replace(result, latency=(time.time_ns() - window.arrival_ns) * 1e-9)
+            self._keep(term, replace(
+                result, latency=(time.time_ns() - window.arrival_ns) * 1e-9))
+
+    def _keep(self, term: int, result: Identified) -> bool:
+        """Keep a result as the last one, unless a new term has begun; return whether it is."""
         with self._lock:
             if term == self._term:
-                accepted = result if tracked.estimate.ok else self._progress.accepted
+                accepted = result if result.tracked.estimate.ok else self._progress.accepted
                 self._progress = replace(self._progress, last=result, accepted=accepted,
                                          failure='')
+            return term == self._term
 
     def _track(self, term: int, record: Record) -> Tracked:
         if term != self._tracked:
