@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_core.model.storage import load_model, save_model
     from ctsid_core.model.verdict import Grade, Verdict
-    from ctsid_core.settings import Settings
+    from ctsid_core.settings import Actuator, Settings
     from ctsid_core.signals.record import Record, Signal
     from ctsid_core.signals.windows import SlidingWindow
 
 __all__ = [
-    'Choice', 'CtsidError', 'DataError', 'Estimate', 'Grade', 'Record', 'Settings',
+    'Actuator', 'Choice', 'CtsidError', 'DataError', 'Estimate', 'Grade', 'Record', 'Settings',
     'SettingsError', 'Signal', 'SlidingWindow', 'StateSpace', 'Status', 'StorageError', 'Verdict',
     'identify', 'load_model', 'save_model',
 ]
@@ -36,7 +36,7 @@ _MAKERS = {
     'StateSpace': 'model.statespace',
     **dict.fromkeys(('load_model', 'save_model'), 'model.storage'),
     **dict.fromkeys(('Grade', 'Verdict'), 'model.verdict'),
-    'Settings': 'settings',
+    **dict.fromkeys(('Actuator', 'Settings'), 'settings'),
     **dict.fromkeys(('Record', 'Signal'), 'signals.record'),
     'SlidingWindow': 'signals.windows',
 }
