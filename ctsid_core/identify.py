@@ -28,7 +28,7 @@ from ctsid_core.search.task import own_delays
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Actuator, Settings
-from ctsid_core.signals.actuators import known
+from ctsid_core.signals.actuators import as_acting, settled
 from ctsid_core.signals.record import Record
 from ctsid_core.subspace.methods import METHODS
 
@@ -124,8 +124,9 @@ def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -
 def _joined(records: tuple[Record, ...], settings: Settings, effort: Effort,
             lost: bool = False) -> Joint | Unusable:
     """Return what can be used of records, their inputs as they act."""
+    each = settings.actuators(records[0].nu)
     return join_records(
-        [known(r, settings.actuators(r.nu)) for r in records],
+        [as_acting(settled(r, each), each) for r in records],
         settings.with_known_delays(), effort.check, lost=lost)
 
 

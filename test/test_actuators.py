@@ -14,7 +14,7 @@ from ctsid_core.identify import identify
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Actuator
-from ctsid_core.signals.actuators import acting, as_acting, in_words, known
+from ctsid_core.signals.actuators import acting, as_acting, in_words, settled
 from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, Signal
 
@@ -117,12 +117,12 @@ def test_where_ramps_and_gears_begin_is_not_known():
     held = Signal(stamps, np.array([[1.0], [-1.0], [0.5]]), 'zoh', ('u',))
     y = Signal(np.arange(0.0, 20.0, 0.02), np.zeros((1000, 1)), 'smooth', ('y',))
     record = Record((held,), (y,), 0.0, 19.9)
-    acts = known(record, (Actuator(rate_limit=0.5),))
+    acts = settled(record, (Actuator(rate_limit=0.5),))
     assert acts.start == pytest.approx(4.0)     # from -1 to 1 at 0.5 a second
     assert as_acting(record, (Actuator(rate_limit=0.5),)).start == 0.0
-    assert acts.commands == (held,)
-    assert known(record, (Actuator(rate_limit=0.1),)).start == 0.0      # never known: as if sent
-    assert known(record, (Actuator(limit=0.5),)).start == 0.0
+    assert as_acting(acts, (Actuator(rate_limit=0.5),)).commands == (held,)
+    assert settled(record, (Actuator(rate_limit=0.1),)).start == 0.0    # never known: as if sent
+    assert settled(record, (Actuator(limit=0.5),)).start == 0.0
 
 
 def test_a_limit_that_all_commands_exceed_is_not_told_from_a_gain():

@@ -21,7 +21,7 @@ from ctsid_core.model.predictor import Stream, filter_states, predictor_gain, sp
 from ctsid_core.model.simulation import free_response, input_polynomials, respond
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.whiteness import independence, whiteness
-from ctsid_core.signals.actuators import acting
+from ctsid_core.signals.actuators import acting, settled
 from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, channel_slices
 
@@ -119,7 +119,8 @@ def simulation(model: StateSpace, record: Record, *,
     would lose all digits. For an unbiased test, take another record than for the identification.
 
     After a pause of all channels, or of a measured input, state and offsets begin anew; results
-    have the state at the start, and the offsets of the part with most samples.
+    have the state at the start, and the offsets of the part with most samples. It begins where it
+    is known where ramps and gears of the actuators are.
 
     Parameters
     ----------
@@ -136,7 +137,9 @@ def simulation(model: StateSpace, record: Record, *,
     """
     if trim not in ('model', 'refit'):
         raise DataError(f'`trim` is {trim!r}; choose model or refit')
-    parts = [_simulation(model, part, trim) for part in between_pauses(record)]
+    model.check_width('input', record.nu, model.nu)
+    parts = [_simulation(model, part, trim)
+             for part in between_pauses(settled(record, model.actuators))]
     times, y, y_hat = (np.concatenate([getattr(part, name) for part in parts])
                        for name in ('times', 'y', 'y_hat'))
     first = next((part for part in parts if len(part.times)), parts[0])

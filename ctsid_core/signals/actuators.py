@@ -41,11 +41,11 @@ def as_acting(record: Record, actuators: Sequence[Actuator]) -> Record:
         map(any, actuators)) else record
 
 
-def known(record: Record, actuators: Sequence[Actuator]) -> Record:
+def settled(record: Record, actuators: Sequence[Actuator]) -> Record:
     """
-    Return a record with inputs as they act, from where it is known where ramps and gears are.
+    Return a record from where it is known where ramps and gears are.
 
-    Where that is in its second half only, as if they were where they had been sent.
+    All of it where that is in its second half only: as if they were where they had been sent.
     """
     channels = [(signal.columns([j]), actuators[place.start + j]) for signal, place in zip(
         record.inputs, channel_slices(record.inputs), strict=True) for j in range(signal.width)]
@@ -53,7 +53,7 @@ def known(record: Record, actuators: Sequence[Actuator]) -> Record:
                  if signal.hold == 'zoh' and (own.backlash or own.rate_limit)
                  and len(signal.time)), default=record.start)
     late = record.start < start < 0.5 * (record.start + record.end)
-    return as_acting(replace(record, start=start) if late else record, actuators)
+    return replace(record, start=start) if late else record
 
 
 def _settled(signal: Signal, actuator: Actuator) -> float:
