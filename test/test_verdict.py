@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+import re
 
 from marks import slow
 import numpy as np
@@ -951,7 +952,9 @@ def test_a_plant_that_predictions_found_is_known_as_far_as_they_go(family, seed,
     found = identify(given.record, given.settings)
     verdict, step = found.verdict, float(np.median(np.diff(given.record.outputs[0].time)))
     assert verdict.grade is Grade.GOOD
-    assert f'within {50 * step:.2g} s' in verdict.reason
+    # Within 50 samples, or the time of what inputs move, if that is longer; or the record.
+    within = re.search(r'within ([\d.]+) s', verdict.reason)
+    assert within is None or float(within[1]) > 0.95 * 50 * step
     true, got = (m.frequency_response(np.geomspace(1.0, 4.0, 8) / (50 * step))
                  for m in (given.truth, found.model))
     mixed = np.linalg.pinv(true[0])
