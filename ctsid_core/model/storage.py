@@ -38,9 +38,8 @@ SERIES_FORMAT = 'ctsid-series'
 SERIES_VERSION = 1
 PER_POLE = ('re [rad/s]', 'im [rad/s]', 'std [rad/s]', 'natural_frequency [rad/s]',
             'natural_frequency_std [rad/s]', 'damping', 'damping_std')
-SECONDS = ' [s]'
-PER_INPUT = tuple(what + SECONDS * (what in ('delay', 'delay_std', 'timeout'))
-                  for what in ('delay', 'delay_std', *Actuator._fields))
+PER_INPUT = (('delay', ' [s]'), ('delay_std', ' [s]'), ('timeout', ' [s]'),
+             *((kind, '') for kind in Actuator._fields[1:]))      # and the unit, but the input's
 PER_PAIR = ('gain', 'gain_std', 'rate_gain', 'rate_gain_std')       # of an output and an input
 
 
@@ -169,8 +168,7 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(('start_ns', 'end_ns', 'status', 'verdict', 'order',
                      *(f'pole{k + 1}_{what}' for k in range(order) for what in PER_POLE),
-                     *(f'{what.removesuffix(SECONDS)}_{name}{SECONDS * what.endswith(SECONDS)}'
-                       for what in PER_INPUT for name in inputs),
+                     *(f'{what}_{name}{unit}' for what, unit in PER_INPUT for name in inputs),
                      *(f'{what}_{pair}' for what in PER_PAIR for pair in pairs),
                      *(f'fit_{name} [%]' for name in outputs),
                      *(f'held_out_fit_{name} [%]' for name in outputs), *columns))

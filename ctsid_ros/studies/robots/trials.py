@@ -67,7 +67,7 @@ def _acting(model: StateSpace, record: Record) -> Held:
     middle = knots + 0.5 * np.diff(knots, append=knots[-1])
     return Held(knots, np.column_stack([
         np.interp(middle, s.time, s.values[:, 0]) if s.hold == 'linear' else
-        Held(s.time, s.values).at(knots)[:, 0] for s in signals]))
+        Held(s.time, s.values).at(knots) for s in signals]))
 
 
 def _driven(model: StateSpace, poles: ComplexArray, vectors: ComplexArray, stamps: Array,
