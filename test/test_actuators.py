@@ -11,6 +11,7 @@ from plants import LINEAR, held_response, noisy, plant
 import pytest
 
 from ctsid_core.identify import identify
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Actuator
@@ -123,6 +124,8 @@ def test_where_ramps_and_gears_begin_is_not_known():
     assert as_acting(acts, (Actuator(rate_limit=0.5),)).commands == (held,)
     assert settled(record, (Actuator(rate_limit=0.1),)).start == 0.0    # never known: as if sent
     assert settled(record, (Actuator(limit=0.5),)).start == 0.0
+    # Nothing is beyond a limit: from -0.2 to 0.2 at 0.1 a second
+    assert settled(record, (Actuator(limit=0.2, rate_limit=0.1),)).start == pytest.approx(4.0)
 
 
 def test_a_limit_that_all_commands_exceed_is_not_told_from_a_gain():
@@ -136,9 +139,9 @@ def test_a_limit_that_all_commands_exceed_is_not_told_from_a_gain():
     assert not found.good
 
 
-def test_a_base_stops_and_ramps():
-    """Keys, a timeout of 0.5 s and an acceleration of 0.5: each for itself was taken for more."""
-    rng = np.random.default_rng(1)
+def keyed(seed: int, stops: float, noise: float | None = 26.0) -> Record:
+    """Return a base, at rest at first, under keys, with a timeout and an acceleration of 0.5."""
+    rng = np.random.default_rng(seed)
     stamps, sent, begins = list[np.ndarray](), list[np.ndarray](), 1.0
     t, t_y = np.arange(0.0, 60.0, FINE), np.arange(0.0, 60.0, 0.02)
     acts = np.zeros(len(t))
@@ -146,15 +149,42 @@ def test_a_base_stops_and_ramps():
         of = begins + 0.05 * np.arange(rng.integers(16, 60))
         value = rng.choice((-0.3, 0.3, 0.5))
         following = of[-1] + rng.choice((0.05, rng.uniform(0.8, 2.5)))
-        acts[(t >= begins) & (t < min(of[-1] + 0.5, following))] = value
+        acts[(t >= begins) & (t < min(of[-1] + stops, following))] = value
         stamps, sent, begins = [*stamps, of], [*sent, 0.0 * of + value], following
     place = 0.0
     for k, wanted in enumerate(acts):
         acts[k] = place = place + np.clip(wanted - place, -0.5 * FINE, 0.5 * FINE)
     y = held_response(plant([[-4.0]], [[4.0]], [[1.0]]), t, acts[:, np.newaxis], t_y)
-    found = identify(Record.from_arrays(
-        np.concatenate(stamps), np.concatenate(sent)[:, np.newaxis], t_y, noisy(rng, y, 26.0),
-        input_hold='zoh'))
+    return Record.from_arrays(
+        np.concatenate(stamps), np.concatenate(sent)[:, np.newaxis], t_y, noisy(rng, y, noise),
+        input_hold='zoh')
+
+
+@pytest.mark.parametrize('seed', [2, *slow(1, 3)])
+def test_ramps_are_judged_by_what_was_sent(seed):
+    found = identify(keyed(seed, 60.0))
+    assert found.good, found.verdict.reason
+    assert found.model.actuators[0].timeout == 0.0
+    assert found.model.actuators[0].rate_limit == pytest.approx(0.5, rel=0.03)
+    assert found.verdict.excitation[0].frequencies > 10.0
+
+
+def test_a_comparison_begins_where_ramps_are_known():
+    given = keyed(2, 60.0, None)
+    truth = StateSpace([[-4.0]], [[4.0]], [[1.0]], actuators=(Actuator(rate_limit=0.5),))
+    assert simulation(truth, given).fit[0] > 99.5
+
+
+def test_sizes_beyond_what_may_be_set_are_not_looked_for():
+    given = driven(1, 'limit', 0.7)
+    held = given.inputs[0]
+    found = identify(replace(given, inputs=(replace(held, values=1e13 * held.values),)))
+    assert not any((found.model or found.rejected_model).actuators[0])
+
+
+def test_a_base_stops_and_ramps():
+    """Keys, a timeout of 0.5 s and an acceleration of 0.5: each for itself was taken for more."""
+    found = identify(keyed(1, 0.5))
     assert found.good, found.verdict.reason
     assert found.model.actuators[0].timeout == pytest.approx(0.5, rel=0.04)
     assert found.model.actuators[0].rate_limit == pytest.approx(0.5, rel=0.04)
@@ -173,10 +203,13 @@ def test_channels_of_one_message_have_their_own():
     assert not any(found.model.actuators[1])
 
 
-@pytest.mark.parametrize('family', ['no-gain-jump', 'no-pole-jump', *slow('gain-drift')])
-def test_a_plant_that_changes_is_no_actuator(family):
+@pytest.mark.parametrize(('family', 'seed', 'number'), [
+    ('no-gain-jump', 300, 2), ('no-gain-jump', 4, 6), ('no-pole-jump', 300, 6),
+    ('quadratic-drag', 135, 6), ('no-clipped', 4, 0), *slow(('gain-drift', 300, 1))])
+def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
+    """Two of the jumps two models tell as well; drag and a clipped sensor leave too much."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
-    given = robots.experiment(family, 300, {'no-gain-jump': 2, 'no-pole-jump': 6}.get(family, 1))
+    given = robots.experiment(family, seed, number)
     found = identify(given.record)
     assert not any((found.model or found.rejected_model).actuators[0])
 
@@ -226,3 +259,10 @@ def test_sparse_commands_that_are_ramped_do_not_pause():
         values=given.inputs[0].values[changes]),))
     record = as_acting(sparse, (Actuator(rate_limit=5.0),))
     assert between_pauses(record) == (record,)
+    # In a pause of all channels what was sent last is not known, however it acts.
+    signals = [replace(s, time=s.time[rows], values=s.values[rows])
+               for s in (*given.inputs, *given.outputs)
+               for rows in [(s.time < 10.0) | (s.time > 14.0)]]
+    pauses = replace(given, inputs=(signals[0],), outputs=(signals[1],))
+    for one in (pauses, as_acting(pauses, (Actuator(rate_limit=5.0),))):
+        assert [part.inputs[0].time[0] > 13.9 for part in between_pauses(one)] == [False, True]

@@ -65,6 +65,16 @@ def test_windows_are_numbered_and_models_kept(session, heard):
     assert all(result.tracked.estimate.ok for result in heard.results)
 
 
+def test_a_model_that_is_published_is_the_one_that_is_kept(session, heard):
+    """Who heard it asked to save it at once, and got the one before."""
+    kept = []
+    heard.then = lambda: kept.append(session.progress.accepted.window.number)
+    for number in (1, 2):
+        session.submit(window(number), None)
+        heard.wait()
+    assert kept == [1, 2]
+
+
 def test_a_reset_while_a_model_is_published_leaves_no_model(session, heard):
     heard.then = session.reset
     session.submit(window(), None)

@@ -213,6 +213,17 @@ def test_what_came_before_the_beginning_is_history_and_counts_for_nothing():
     assert found.inputs[0].time[0] < -0.9 < wanted.inputs[0].time[0]
 
 
+def test_no_window_of_what_came_before_the_beginning_is_handed_out():
+    """A clock that restarts ends a stream, and its last windows become due."""
+    slider = window(length=1.0, stride=1.0)
+    for sample in stream(6.0, seed=2) + list(stream(3.0, seed=3)):
+        slider.push(*sample)
+    assert slider.counts.resets == 1
+    slider.begin()
+    assert slider.counts.windows == 0
+    assert not list(slider.flush())
+
+
 @pytest.mark.parametrize('hold', ['zoh', 'linear'])
 def test_what_is_held_is_known_from_before_the_beginning(hold):
     """A key was pressed before it, and once more long after it: nothing is to be waited for."""

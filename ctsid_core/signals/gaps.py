@@ -17,6 +17,7 @@ from itertools import compress
 import numpy as np
 
 from ctsid_core.linear.types import Array, Mask
+from ctsid_core.signals.actuators import unramped
 from ctsid_core.signals.instants import after_start
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
@@ -153,20 +154,19 @@ def _part(record: Record, first: float, last: float) -> Record:
     """
     Return what is from the end of a pause to the start of the next one.
 
-    An input that missed no samples in a pause is known through it, and is kept from before, and so
-    is what acts of one that is held.
+    An input that missed no samples in a pause is known through it, and is kept from before.
     """
-    inputs = record.inputs if record.sent and all(s.hold == 'zoh' for s in record.sent) else tuple(
-        _known(s, first, last, record) for s in record.inputs)
+    inputs = tuple(_known(s, sent, first, last, record) for s, sent in zip(
+        record.inputs, unramped(record.inputs, record.commands), strict=True))
     outputs = tuple(replace(s, time=s.time[rows], values=s.values[rows])
                     for s in record.outputs for rows in [s.rows(first, last)])
     return replace(record, inputs=inputs, outputs=outputs, start=max(first, record.start),
                    end=min(last, record.end), part_of=record)
 
 
-def _known(signal: Signal, first: float, last: float, record: Record) -> Signal:
-    """Return an input without what is beyond gaps of its own at both ends."""
-    from_there, to_there = _misses(signal, np.array([np.nextafter(first, -np.inf), last]), record)
+def _known(signal: Signal, sent: Signal, first: float, last: float, record: Record) -> Signal:
+    """Return an input without what is beyond gaps of what was sent at both ends."""
+    from_there, to_there = _misses(sent, np.array([np.nextafter(first, -np.inf), last]), record)
     t = signal.time
     rows = (t >= first if from_there else t > -np.inf) & (t <= last if to_there else t < np.inf)
     return replace(signal, time=t[rows], values=signal.values[rows])
