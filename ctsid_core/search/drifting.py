@@ -24,7 +24,7 @@ import numpy as np
 from ctsid_core.likelihood.output_error import Fit, Free, Guess, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
-from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tried
+from ctsid_core.search.tried import SEARCH, Tried, explains, in_colour, parameters, price, tried
 from ctsid_core.signals.record import Signal
 
 _LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
@@ -48,7 +48,8 @@ def drifting(samples: Samples, one: Tried, free: Free, rival: float = np.inf) ->
         more = parameters(both, start, free) - one.parameters
         rival = min(rival, one.fit.cost - price(samples) * more)
         found = tried(both, climb_roughly(both, start, free, rival), free)
-        if beats(found, one) and found.unexplained ** 2 < _LEFT * one.unexplained ** 2:
+        if in_colour(found) < in_colour(one) and explains(one, found) \
+                and found.unexplained ** 2 < _LEFT * one.unexplained ** 2:
             return found
     return None
 

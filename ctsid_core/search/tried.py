@@ -8,9 +8,11 @@ How much evidence there is for one more state depends on how many samples are in
 
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
-Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
-errors fall: as many numbers as there are independent samples explain any of them. Of an order that
-HD-PBSID points at, both models' errors say how many these are.
+A number costs the logarithm of N_eff P / p, P the power of the errors of the smaller model and p
+that of the larger one: it was known before as one sample of the errors of the smaller one tells,
+and is known as N_eff samples of the larger one's tell. At log N_eff alone a slow gust, of which
+few samples are independent, is imitated by states. Of an order that HD-PBSID points at, both
+models' errors say how many samples are independent.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -182,24 +184,29 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     Return how much more likely the larger one is than its further parameters may cost.
 
-    A parameter costs the logarithm of the number of independent samples, unless `price` says.
+    A parameter costs the logarithm of the number of independent samples, if each is as noisy as
+    the larger model says, over one that is as noisy as the smaller one says: that much was known
+    before (unit information; Kass and Wasserman 1995). Unless `price` says.
     """
-    n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
-    share = np.maximum(gain, 1e-6)
-    each = price or float(share @ np.log(n_eff) / share.sum())
+    gain, share = gained(smaller, larger), np.maximum(gained(smaller, larger), 1e-6)
+    before, after = (np.maximum(t.power, LEAST ** 2) for t in (smaller, larger))
+    known = np.log(_evidence(smaller, larger) * np.maximum(before / after, 1.0))
+    each = price or float(share @ known / share.sum())
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
 
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
-    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
-    n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's prior of unit information: numbers as many as samples explain anything.
-    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
-    unit = 1.0 / max(float(known), 2.0)
-    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
+    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
+    n_eff = _evidence(smaller, larger)
     # An output that fits a little worse for the sake of another is no evidence against it.
-    return np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
+    return np.where(before > after, n_eff, np.min(n_eff)) * np.log(before / after)
+
+
+def _evidence(smaller: Tried, larger: Tried) -> Array:
+    """Return how many independent samples of each output decide between two models, (ny,)."""
+    n_eff = np.maximum(smaller.independent, 2.0)
+    return np.sqrt(n_eff * np.maximum(larger.independent, 2.0)) if larger.pointed else n_eff
 
 
 def imitates(larger: Tried, smaller: Tried) -> bool:
@@ -226,7 +233,7 @@ def advantage(one: Tried, other: Tried) -> float:
     return -criterion(other, one, AKAIKE)
 
 
-def in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
+def in_colour(one: Tried, matters: Mask | slice = slice(None), each: float = 0.0) -> float:
     """
     Return Schwarz's criterion with errors of any colour, of the outputs that matter.
 
