@@ -132,8 +132,8 @@ def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) ->
     if not numbers:
         return _gain(own, tried(*other.simulated), 0) > 0.0
     rival = tried(*other.simulated)
-    if other.drifting is not None:      # it has to explain more than that, whatever numbers cost
-        drift = replace(tried(*other.drifting), parameters=own.parameters)
+    if other.drifts is not None:        # it has to explain more than that, whatever numbers cost
+        drift = replace(other.drifts, parameters=own.parameters)
         if own.unexplained > 0.5 * drift.unexplained or _gain(own, drift, 0) < _SURELY:
             return False
     return _surely(own, rival, numbers) if bends else \

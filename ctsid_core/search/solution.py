@@ -66,6 +66,8 @@ class Solution:
     predictor: Fitted | None = None
     # With inputs that drift, of which the model is the mean; time is among the inputs
     drifting: Fitted | None = None
+    # The same where the records do not tell its mean, too
+    drifts: Tried | None = None
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     # What tells whether the plant changes or is curved: of a stable plant that was found by its

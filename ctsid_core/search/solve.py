@@ -230,7 +230,7 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
         (*one.notes, *at_bound(best.fit, free)),
         doubt=doubt or doubt_of_direct(poles, best.fit.model.delay, samples, free,
                                        task.settings.feedthrough, grows),
-        smaller=smaller, drifting=drifting,
+        smaller=smaller, drifting=drifting, drifts=both or one.best.drifting,
         rivals=shares_of([(gain, other.fit.model) for gain, other in one.others]),
         singular_values=values, condition=condition)
 
