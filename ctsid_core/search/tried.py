@@ -8,11 +8,11 @@ How much evidence there is for one more state depends on how many samples are in
 
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
-A number costs the logarithm of N_eff P / p, P the power of the errors of the smaller model and p
-that of the larger one: it was known before as one sample of the errors of the smaller one tells,
-and is known as N_eff samples of the larger one's tell. At log N_eff alone a slow gust, of which
-few samples are independent, is imitated by states. Of an order that HD-PBSID points at, both
-models' errors say how many samples are independent.
+A number costs the logarithm of N_eff over the rms error, of a motion of 1. If one sample had told
+it before, that would be log N_eff (Schwarz), and states imitate a slow gust, of which few samples
+are independent; if it might have moved as much as outputs do, N_eff over the power of the error,
+and resonances are missed: this is the mean of both. Evidence adds up from order to order, each
+step by the errors of the smaller model, for of the smallest one's few may be independent.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -62,9 +62,6 @@ class Tried:
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
     parameters: int
-    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
-    # own errors say, too, how much there is to know
-    pointed: bool = False
     drifting: Tried | None = None   # the same order with inputs that drift, where it was seen
     found: Tried | None = None      # what it was then, of fewer samples
 
@@ -99,9 +96,9 @@ class Tried:
         return float(np.sqrt(np.mean(self.power)))
 
 
-def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
+def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
 
 
 def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
@@ -116,7 +113,7 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
         with suppress(np.linalg.LinAlgError):
             start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: (
                 fit.cost + price(samples) * parameters(samples, fit, free)))
-    return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
+    return replace(tried(samples, climb(samples, start, free, steps=steps), free),
                    drifting=one.drifting, found=one.found)
 
 
@@ -165,12 +162,20 @@ def price(samples: Samples) -> float:
 
 
 def choose(found: dict[int, Tried]) -> int:
-    """Return the smallest order that no larger one beats, by independent samples."""
-    orders = sorted(found)
-    chosen = next(n for n in orders if not any(
-        criterion(found[n], found[m]) > 0.0 and not imitates(found[m], found[n])
-        for m in orders if m > n))
-    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen]))
+    """Return the order that there is most evidence for, or a smaller one that explains as much."""
+    total = evidence(found)
+    chosen = max(total, key=lambda n: total[n])
+    return min(n for n in total if n <= chosen and not explains(found[n], found[chosen]))
+
+
+def evidence(found: dict[int, Tried]) -> dict[int, float]:
+    """Return by how much each order is likelier than the smallest one, numbers paid, ascending."""
+    first, *larger = sorted(found)
+    total = {first: 0.0}
+    for m in larger:
+        total[m] = max(before + (-np.inf if imitates(found[m], found[n]) else criterion(
+            found[n], found[m])) for n, before in total.items())
+    return total
 
 
 def explains(smaller: Tried, larger: Tried) -> bool:
@@ -184,13 +189,13 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     Return how much more likely the larger one is than its further parameters may cost.
 
-    A parameter costs the logarithm of the number of independent samples, if each is as noisy as
-    the larger model says, over one that is as noisy as the smaller one says: that much was known
-    before (unit information; Kass and Wasserman 1995). Unless `price` says.
+    A parameter costs the logarithm of the number of independent samples over the error, unless
+    `price` says (Laplace's approximation; MacKay 2003, Information Theory, Inference, and Learning
+    Algorithms, chapter 28).
     """
-    gain, share = gained(smaller, larger), np.maximum(gained(smaller, larger), 1e-6)
-    before, after = (np.maximum(t.power, LEAST ** 2) for t in (smaller, larger))
-    known = np.log(_evidence(smaller, larger) * np.maximum(before / after, 1.0))
+    n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
+    share = np.maximum(gain, 1e-6)
+    known = np.log(n_eff / np.sqrt(np.clip(larger.power, LEAST ** 2, 1.0)))
     each = price or float(share @ known / share.sum())
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
@@ -198,15 +203,9 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
     before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
-    n_eff = _evidence(smaller, larger)
+    n_eff = np.maximum(smaller.independent, 2.0)
     # An output that fits a little worse for the sake of another is no evidence against it.
     return np.where(before > after, n_eff, np.min(n_eff)) * np.log(before / after)
-
-
-def _evidence(smaller: Tried, larger: Tried) -> Array:
-    """Return how many independent samples of each output decide between two models, (ny,)."""
-    n_eff = np.maximum(smaller.independent, 2.0)
-    return np.sqrt(n_eff * np.maximum(larger.independent, 2.0)) if larger.pointed else n_eff
 
 
 def imitates(larger: Tried, smaller: Tried) -> bool:
