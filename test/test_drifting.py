@@ -190,7 +190,7 @@ def test_deviations_are_of_the_states_of_the_mean():
     record = Record.from_arrays(t, u, t, noisy(rng, y, 60), input_hold='zoh')
     samples = samples_of([record], [[None]])
     one = tried(samples, fit_at(samples, np.array([-3.0, -3.05]) + 0j, np.zeros(1), FREE), FREE)
-    mean = mean_of(samples, one, FREE)
+    mean, _ = mean_of(samples, one, FREE)
     assert mean.drifting is not None
     moved = entry_changes(mean.drifting.samples, mean.drifting.fit, free_with_time(FREE),
                           like=mean.fit.model)
@@ -224,7 +224,7 @@ def test_time_among_inputs_explains_a_gain_that_drifts_exactly():
     assert both.rms < 1e-6
     np.testing.assert_allclose(model.poles.real, [-3.0], rtol=1e-6)
     np.testing.assert_allclose(model.b[0, 1] / model.b[0, 0], 0.8, rtol=1e-5)
-    mean = mean_of(samples, one, FREE)
+    mean, _ = mean_of(samples, one, FREE)
     assert mean.drifting is not None
     np.testing.assert_allclose(mean.fit.model.b, model.b[:, :1])
     # Two states explain it less well; one of another gain is as good as itself.

@@ -54,9 +54,9 @@ def drifting(samples: Samples, one: Tried, free: Free, rival: float = np.inf) ->
     return None
 
 
-def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
+def mean_of(samples: Samples, one: Tried, free: Free) -> tuple[Tried, Tried | None]:
     """
-    Return the mean of what drifts, with what it is the mean of, or a model as it is.
+    Return the mean of what drifts, and with it what drifts, or a model as it is; and the latter.
 
     It is the model in the middle of the record: one that stands still is pulled to when inputs
     move most, and its poles stand in for what drifts. Where records do not tell the middle, the
@@ -65,10 +65,10 @@ def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
     both = None if samples.effort.beyond(SEARCH) else drifting(samples, one, free)
     if both is None or np.any(both.samples.mean(standing(
             both.samples, both.fit, free_with_time(free)).power) > _APART * one.power):
-        return replace(one, drifting=None)
+        return replace(one, drifting=None), both
     m, nu = both.fit.model, samples.nu
     m = replace(m, b=m.b[:, :nu], D=m.D[:, :nu], delay=m.delay[:nu])
-    return replace(tried(samples, fit_states(samples, m, free), free), drifting=both)
+    return replace(tried(samples, fit_states(samples, m, free), free), drifting=both), both
 
 
 def standing(samples: Samples, fit: Fit, free: Free) -> Fit:

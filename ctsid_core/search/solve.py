@@ -216,7 +216,7 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
         samples = task.seen(late)
     if late > 0.0 or best is not reached:
         best = climbed(samples, best, free)
-    best = mean_of(samples, best, free) if not task.settings.order else best
+    best, drifts = (best, None) if task.settings.order else mean_of(samples, best, free)
     both = best.drifting
     drifting = None if both is None else (both.samples, both.fit, free_with_time(free))
     best = centred(samples, best, free) if both is None else best
@@ -230,7 +230,7 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
         (*one.notes, *at_bound(best.fit, free)),
         doubt=doubt or doubt_of_direct(poles, best.fit.model.delay, samples, free,
                                        task.settings.feedthrough, grows),
-        smaller=smaller, drifting=drifting, drifts=both or one.best.drifting,
+        smaller=smaller, drifting=drifting, drifts=drifts,
         rivals=shares_of([(gain, other.fit.model) for gain, other in one.others]),
         singular_values=values, condition=condition)
 

@@ -6,13 +6,15 @@ How much evidence there is for one more state depends on how many samples are in
 
     N_eff = N / (1 + 2 sum_k rho_k)
 
-with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
+with the autocorrelation rho_k of the errors of a model. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
-A number costs the logarithm of N_eff over the rms error, of a motion of 1. If one sample had told
-it before, that would be log N_eff (Schwarz), and states imitate a slow gust, of which few samples
-are independent; if it might have moved as much as outputs do, N_eff over the power of the error,
-and resonances are missed: this is the mean of both. Evidence adds up from order to order, each
-step by the errors of the smaller model, for of the smallest one's few may be independent.
+How many decide is told by both models' errors, mostly by those of the smaller one: where it misses
+resonances, few of them are independent.
+
+A number costs the logarithm of N_eff over the power that is left of the motion: so many times more
+precisely is it known than before, when it might have moved as much as outputs do. At log N_eff, as
+if one sample had told it before, states imitate a slow gust, of which few samples are independent.
+Evidence adds up from order to order.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -50,6 +52,8 @@ LEAST = 1e-4          # if the errors were more than this part of the motion
 AKAIKE = 2.0          # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take, ...
 POINT = 0.4           # ... and a look at where to begin
+_LARGER = 0.25        # of the samples that decide, on a logarithmic scale, as the larger model's
+                      # errors say: 0, and weak resonances are missed, 0.5, and gusts imitated
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 
@@ -189,13 +193,13 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     Return how much more likely the larger one is than its further parameters may cost.
 
-    A parameter costs the logarithm of the number of independent samples over the error, unless
-    `price` says (Laplace's approximation; MacKay 2003, Information Theory, Inference, and Learning
-    Algorithms, chapter 28).
+    A parameter costs the logarithm of the number of independent samples over the power that is
+    left of the motion, unless `price` says (Laplace's approximation, with a prior as wide as the
+    motion; MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapter 28).
     """
-    n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
+    gain = gained(smaller, larger)
     share = np.maximum(gain, 1e-6)
-    known = np.log(n_eff / np.sqrt(np.clip(larger.power, LEAST ** 2, 1.0)))
+    known = np.log(_deciding(smaller, larger) / np.clip(larger.power, LEAST ** 2, 1.0))
     each = price or float(share @ known / share.sum())
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
@@ -203,9 +207,15 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
     before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
-    n_eff = np.maximum(smaller.independent, 2.0)
+    n_eff = _deciding(smaller, larger)
     # An output that fits a little worse for the sake of another is no evidence against it.
     return np.where(before > after, n_eff, np.min(n_eff)) * np.log(before / after)
+
+
+def _deciding(smaller: Tried, larger: Tried) -> Array:
+    """Return how many independent samples of each output decide between two models, (ny,)."""
+    own, other = (np.maximum(t.independent, 2.0) for t in (smaller, larger))
+    return np.asarray(own * (other / own) ** _LARGER)
 
 
 def imitates(larger: Tried, smaller: Tried) -> bool:
