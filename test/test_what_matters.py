@@ -445,7 +445,7 @@ def test_two_small_models_are_no_change_of_a_plant_that_many_states_explain():
         y[k] = C @ x
         x = joined[:6, :6] @ x + joined[:6, 6] * u[k]
     y += 0.01 * np.std(y) * rng.standard_normal(len(t))
-    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings(order=6))
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
     assert found.verdict.change_cost < 1.0
     assert found.fit[0] > 98.0
 

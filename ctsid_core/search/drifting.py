@@ -24,7 +24,7 @@ import numpy as np
 from ctsid_core.likelihood.output_error import Fit, Free, Guess, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
-from ctsid_core.search.tried import SEARCH, Tried, explains, in_colour, parameters, price, tried
+from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tried
 from ctsid_core.signals.record import Signal
 
 _LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
@@ -48,15 +48,14 @@ def drifting(samples: Samples, one: Tried, free: Free, rival: float = np.inf) ->
         more = parameters(both, start, free) - one.parameters
         rival = min(rival, one.fit.cost - price(samples) * more)
         found = tried(both, climb_roughly(both, start, free, rival), free)
-        if in_colour(found) < in_colour(one) and explains(one, found) \
-                and found.unexplained ** 2 < _LEFT * one.unexplained ** 2:
+        if beats(found, one) and found.unexplained ** 2 < _LEFT * one.unexplained ** 2:
             return found
     return None
 
 
 def mean_of(samples: Samples, one: Tried, free: Free) -> tuple[Tried, Tried | None]:
     """
-    Return the mean of what drifts, and with it what drifts, or a model as it is; and the latter.
+    Return the mean of what drifts, with it what drifts, or a model as it is; and what drifts.
 
     It is the model in the middle of the record: one that stands still is pulled to when inputs
     move most, and its poles stand in for what drifts. Where records do not tell the middle, the

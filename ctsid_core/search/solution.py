@@ -16,7 +16,7 @@ from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import MORE
 from ctsid_core.search.task import FASTEST, Task
-from ctsid_core.search.tried import SEARCH, Tried, evidence
+from ctsid_core.search.tried import SEARCH, Tried
 from ctsid_core.settings import Settings
 
 DISTURBED = 0.35        # error that is not white noise, over the motion: a simulation is nothing
@@ -122,12 +122,17 @@ def used(task: Task, order: int, delay: Array) -> Settings:
 def table_of(found: dict[int, Tried], chosen: Tried,
              settings: Settings) -> tuple[OrderTried, ...]:
     """Return the orders among which was chosen; none if it was given."""
-    if settings.order:
-        return ()
-    total = evidence(found)
-    most = next((total[n] for n, one in found.items() if one is chosen), max(total.values()))
-    return tuple(OrderTried(n, most - own, 100.0 * (1.0 - float(np.sqrt(np.max(found[n].power)))))
-                 for n, own in total.items())
+    return () if settings.order else tuple(
+        _order_row(one, chosen, n) for n, one in sorted(found.items()))
+
+
+def _order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
+    """Return a row of the table of orders: all by the independent samples of the chosen one."""
+    n_eff = max(float(np.min(chosen.independent)), 2.0)
+    power = one.power / np.maximum(chosen.power, 1e-300)
+    price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
+    return OrderTried(n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
+                      100.0 * (1.0 - float(np.sqrt(np.max(one.power)))))
 
 
 def at_bound(fit: Fit, free: Free) -> tuple[str, ...]:

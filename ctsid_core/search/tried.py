@@ -6,15 +6,11 @@ How much evidence there is for one more state depends on how many samples are in
 
     N_eff = N / (1 + 2 sum_k rho_k)
 
-with the autocorrelation rho_k of the errors of a model. White errors: N_eff = N.
+with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
-How many decide is told by both models' errors, mostly by those of the smaller one: where it misses
-resonances, few of them are independent.
-
-A number costs the logarithm of N_eff over the power that is left of the motion: so many times more
-precisely is it known than before, when it might have moved as much as outputs do. At log N_eff, as
-if one sample had told it before, states imitate a slow gust, of which few samples are independent.
-Evidence adds up from order to order.
+Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
+errors fall: as many numbers as there are independent samples explain any of them. Of an order that
+HD-PBSID points at, both models' errors say how many these are.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -52,8 +48,6 @@ LEAST = 1e-4          # if the errors were more than this part of the motion
 AKAIKE = 2.0          # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take, ...
 POINT = 0.4           # ... and a look at where to begin
-_LARGER = 0.25        # of the samples that decide, on a logarithmic scale, as the larger model's
-                      # errors say: 0, and weak resonances are missed, 0.5, and gusts imitated
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 
@@ -66,6 +60,9 @@ class Tried:
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
     parameters: int
+    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
+    # own errors say, too, how much there is to know
+    pointed: bool = False
     drifting: Tried | None = None   # the same order with inputs that drift, where it was seen
     found: Tried | None = None      # what it was then, of fewer samples
 
@@ -100,9 +97,9 @@ class Tried:
         return float(np.sqrt(np.mean(self.power)))
 
 
-def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
+def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
 
 
 def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
@@ -117,7 +114,7 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
         with suppress(np.linalg.LinAlgError):
             start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: (
                 fit.cost + price(samples) * parameters(samples, fit, free)))
-    return replace(tried(samples, climb(samples, start, free, steps=steps), free),
+    return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
 
 
@@ -166,20 +163,12 @@ def price(samples: Samples) -> float:
 
 
 def choose(found: dict[int, Tried]) -> int:
-    """Return the order that there is most evidence for, or a smaller one that explains as much."""
-    total = evidence(found)
-    chosen = max(total, key=lambda n: total[n])
-    return min(n for n in total if n <= chosen and not explains(found[n], found[chosen]))
-
-
-def evidence(found: dict[int, Tried]) -> dict[int, float]:
-    """Return by how much each order is likelier than the smallest one, numbers paid, ascending."""
-    first, *larger = sorted(found)
-    total = {first: 0.0}
-    for m in larger:
-        total[m] = max(before + (-np.inf if imitates(found[m], found[n]) else criterion(
-            found[n], found[m])) for n, before in total.items())
-    return total
+    """Return the smallest order that no larger one beats, by independent samples."""
+    orders = sorted(found)
+    chosen = next(n for n in orders if not any(
+        criterion(found[n], found[m]) > 0.0 and not imitates(found[m], found[n])
+        for m in orders if m > n))
+    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen]))
 
 
 def explains(smaller: Tried, larger: Tried) -> bool:
@@ -193,29 +182,24 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     Return how much more likely the larger one is than its further parameters may cost.
 
-    A parameter costs the logarithm of the number of independent samples over the power that is
-    left of the motion, unless `price` says (Laplace's approximation, with a prior as wide as the
-    motion; MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapter 28).
+    A parameter costs the logarithm of the number of independent samples, unless `price` says.
     """
-    gain = gained(smaller, larger)
+    n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
     share = np.maximum(gain, 1e-6)
-    known = np.log(_deciding(smaller, larger) / np.clip(larger.power, LEAST ** 2, 1.0))
-    each = price or float(share @ known / share.sum())
+    each = price or float(share @ np.log(n_eff) / share.sum())
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
 
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
-    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
-    n_eff = _deciding(smaller, larger)
+    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
+    n_eff = np.maximum(smaller.independent, 2.0)
+    # Zellner's prior of unit information: numbers as many as samples explain anything.
+    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
+    unit = 1.0 / max(float(known), 2.0)
+    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
-    return np.where(before > after, n_eff, np.min(n_eff)) * np.log(before / after)
-
-
-def _deciding(smaller: Tried, larger: Tried) -> Array:
-    """Return how many independent samples of each output decide between two models, (ny,)."""
-    own, other = (np.maximum(t.independent, 2.0) for t in (smaller, larger))
-    return np.asarray(own * (other / own) ** _LARGER)
+    return np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
 
 
 def imitates(larger: Tried, smaller: Tried) -> bool:
@@ -242,7 +226,7 @@ def advantage(one: Tried, other: Tried) -> float:
     return -criterion(other, one, AKAIKE)
 
 
-def in_colour(one: Tried, matters: Mask | slice = slice(None), each: float = 0.0) -> float:
+def in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
     """
     Return Schwarz's criterion with errors of any colour, of the outputs that matter.
 
