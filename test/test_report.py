@@ -531,11 +531,13 @@ def test_bands_are_shaded_for_each_input():
     assert second.drawing.panels[0].spans
 
 
-def test_a_timeout_is_told_where_there_is_one():
-    section = to_text([model_section(estimate(), 'Model')])
-    assert 'timeout' not in section
-    stops = replace(TRUTH, actuators=(Actuator(0.5),))
-    assert ', timeout 0.500 s.' in to_text([model_section(estimate(stops), 'Model')])
+def test_what_acts_is_told_where_it_is_not_all():
+    assert ' no direct feedthrough. Each' in to_text([model_section(estimate(), 'Model')])
+    stops = replace(TRUTH, actuators=(Actuator(timeout=0.5, limit=2.0),), input_units=('N m',))
+    name = stops.input_names[0]
+    assert (f'; input {name} counts as 0 from 0.5 s after a message on, until the next one; '
+            f'input {name} acts by at most 2 N m. ') in ' '.join(
+                to_text([model_section(estimate(stops), 'Model')]).split())
     assert facts(estimate(stops), {})['timeout [s]'] == '0.500'
 
 

@@ -18,7 +18,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests
 from ctsid_core.model.verdict import Grade
 from ctsid_core.search.own_past import AHEAD, HORIZONS
-from ctsid_core.signals.actuators import by_kind
+from ctsid_core.signals.actuators import in_words
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
 from ctsid_ros.report.responses import frequencies, response_of, response_std
 from ctsid_ros.report.tables import (
@@ -149,9 +149,7 @@ def model_section(estimate: Estimate, title: str, *, verdict: bool = True) -> Se
             'direct feedthrough'
     if any(model.delay):
         words += f', dead time {_dead_times(estimate, model)} s'
-    for kind, values in by_kind(model.actuators).items():
-        words += f', {kind.replace("_", " ")} {", ".join(number(value, 3) for value in values)}'
-        words += ' s' * (kind == 'timeout')
+    words = '; '.join((words, *in_words(model.input_names, model.actuators, model.input_units)))
     return Section(title, (*parts, f'{words}. {GLOSSARY}', mode_table(modes_of(estimate)),
                            *verdict_tables(estimate, model), fit_table(estimate, model)))
 
