@@ -14,7 +14,7 @@ from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import changes_explain_more, conclude
 from ctsid_core.judge.cross_check import cross_checked
-from ctsid_core.judge.feedback import never_rest
+from ctsid_core.judge.feedback import in_loop
 from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
@@ -152,7 +152,7 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             map(any, settings.actuators(nu))) else part
         acted = of_actuators(
             solution, part if isinstance(sent, Unusable) else sent, settings, again,
-            loop=not settings.feedthrough and never_rest([p.record for p in part.parts]))
+            loop=not settings.feedthrough and in_loop([p.record for p in part.parts]))
         if acted.part is solution.part or not changes_explain_more(solution, acted):
             solution = acted
         solution = with_choices(of_lost_inputs(solution, settings, again), settings)

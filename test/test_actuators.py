@@ -14,7 +14,7 @@ from ctsid_core.identify import identify
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
-from ctsid_core.settings import Actuator
+from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import acting, as_acting, in_words, settled
 from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, Signal
@@ -126,6 +126,21 @@ def test_where_ramps_and_gears_begin_is_not_known():
     assert settled(record, (Actuator(limit=0.5),)).start == 0.0
     # Nothing is beyond a limit: from -0.2 to 0.2 at 0.1 a second
     assert settled(record, (Actuator(limit=0.2, rate_limit=0.1),)).start == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(('family', 'number', 'kind', 'least'), [
+    ('saturation-60', 2, 'limit', 95.0), *slow(
+        ('saturation-30', 6, 'limit', 97.0), ('backlash', 0, 'backlash', 97.0),
+        ('rate-limit', 3, 'rate_limit', 98.0), ('dead-zone', 0, 'dead_zone', 97.0))])
+def test_commands_that_never_rest_are_no_loop_if_they_hear_nothing(family, number, kind, least):
+    """Sticks and sweeps seemed a controller's: WEAK, or GOOD, and 48 to 89 % of another flight."""
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    from ctsid_ros.studies.robots.trials import simulated
+    given = robots.experiment(family, 301, number)
+    found = identify(given.record, Settings(feedthrough=False))
+    assert found.good
+    assert getattr(found.model.actuators[0], kind) > 0.0
+    assert np.mean(simulated(found.model, given.test)) > least
 
 
 def test_a_limit_that_all_commands_exceed_is_not_told_from_a_gain():

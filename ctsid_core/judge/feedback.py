@@ -51,6 +51,7 @@ _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
 _NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
 _MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
+_HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
 _RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
@@ -117,6 +118,33 @@ def never_rest(records: Sequence[Record]) -> bool:
     """Return whether an input moves all the time, as what a controller sends does."""
     return any(rest <= _MOVING * signal.period for record in records for signal in record.inputs
                for rest in _rests(signal, record))
+
+
+def in_loop(records: Sequence[Record]) -> bool:
+    """Return whether inputs seem to be a controller's: one never rests, and hears the outputs."""
+    return never_rest(records) and hears(records)
+
+
+def hears(records: Sequence[Record]) -> bool:
+    """
+    Return whether outputs tell more of how an input changes than its own past does, beyond chance.
+
+    Then what is noise in them is in the input, too (Granger 1969, Econometrica 37).
+    """
+    for record in records:
+        for signal in record.inputs:
+            outputs, changes, _ = _before(signal, record, False)
+            count, ny = outputs.shape
+            past = min(_PAST // ny, (count - 1) // (_EACH * (ny + 1)))
+            for own in changes[:, np.newaxis] if past > 0 else ():
+                before = own[0, :-1, np.newaxis]
+                (alone,), (left,) = (_told(known, own[:, 1:], past)[1] for known in (
+                    before, np.hstack((before, outputs[2:]))))
+                least = _SMOOTH * float(np.mean(own ** 2))
+                gain = (count - past) * np.log((alone + least) / (left + least))
+                if gain > _HEARS * np.sqrt(2.0 * past * ny):
+                    return True
+    return False
 
 
 def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
