@@ -11,6 +11,7 @@ from plants import LINEAR, held_response, noisy, plant
 import pytest
 
 from ctsid_core.identify import identify
+from ctsid_core.judge.feedback import in_loop
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
@@ -141,6 +142,16 @@ def test_commands_that_never_rest_are_no_loop_if_they_hear_nothing(family, numbe
     assert found.good
     assert getattr(found.model.actuators[0], kind) > 0.0
     assert np.mean(simulated(found.model, given.test)) > least
+
+
+@pytest.mark.parametrize(('family', 'loop'), [
+    ('cart-pole', True), ('rates-1x1', True), ('rates-4x3', True), ('roll', False),
+    ('turbulence-strong', False), ('second-input', False), ('saturation-60', False)])
+def test_who_hears_the_outputs_is_in_a_loop(family, loop):
+    """One of 7 may seem the other one: of sums of sines, e.g., next to nothing is new."""
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    seen = [in_loop([robots.experiment(family, 11, number).record]) for number in range(7)]
+    assert sum(one is not loop for one in seen) <= 1
 
 
 def test_a_limit_that_all_commands_exceed_is_not_told_from_a_gain():

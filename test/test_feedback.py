@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import butter, filtfilt
 
 from ctsid_core import Grade, Record, Settings, StateSpace, identify
-from ctsid_core.judge.feedback import distance_to_controller, in_loop
+from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.model.verdict import Excitation
 
 
@@ -292,13 +292,3 @@ def test_what_is_filtered_backward_in_time_does_not_grow(kind, corner, seeds):
         assert not found.good or found.model.poles.real.max() <= 0.0
         told |= 'forward and backward in time' in found.verdict.reason
     assert told
-
-
-@pytest.mark.parametrize(('family', 'loop'), [
-    ('cart-pole', True), ('rates-1x1', True), ('rates-4x3', True), ('roll', False),
-    ('turbulence-strong', False), ('second-input', False), ('saturation-60', False)])
-def test_who_hears_the_outputs_is_in_a_loop(family, loop):
-    """One of 7 may seem the other one: of sums of sines, e.g., next to nothing is new."""
-    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
-    seen = [in_loop([robots.experiment(family, 11, number).record]) for number in range(7)]
-    assert sum(one is not loop for one in seen) <= 1
