@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import butter, filtfilt
 
 from ctsid_core import Grade, Record, Settings, StateSpace, identify
-from ctsid_core.judge.feedback import distance_to_controller
+from ctsid_core.judge.feedback import distance_to_controller, hears, in_loop
 from ctsid_core.model.verdict import Excitation
 
 
@@ -292,3 +292,18 @@ def test_what_is_filtered_backward_in_time_does_not_grow(kind, corner, seeds):
         assert not found.good or found.model.poles.real.max() <= 0.0
         told |= 'forward and backward in time' in found.verdict.reason
     assert told
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_switch_that_rests_hears_the_outputs_and_is_no_loop(seed):
+    """A thermostat: at rest for a second and more, as keys are that somebody presses in time."""
+    rng, t, x, on = np.random.default_rng(seed), 0.1 * np.arange(1200), 0.0, 1.0
+    u, y = np.empty(1200), np.empty(1200)
+    for k in range(1200):
+        y[k] = x + 0.01 * rng.standard_normal()
+        on = 1.0 if y[k] < 0.4 else 0.0 if y[k] > 0.6 else on
+        u[k] = on
+        x += 0.1 * (on - x) / 3.0
+    record = Record.from_arrays(t, u, t, y, input_hold='zoh')
+    assert hears([record])
+    assert not in_loop([record])

@@ -132,14 +132,14 @@ def hears(records: Sequence[Record]) -> bool:
     Then what is noise in them is in the input, too (Granger 1969, Econometrica 37).
     """
     for record in records:
-        for signal in record.inputs:
+        for signal in unramped(record.inputs, record.commands):
             outputs, changes, _ = _before(signal, record, False)
             count, ny = outputs.shape
             past = min(_PAST // ny, (count - 1) // (_EACH * (ny + 1)))
-            for own in changes[:, np.newaxis] if past > 0 else ():
-                before = own[0, :-1, np.newaxis]
-                (alone,), (left,) = (_told(known, own[:, 1:], past)[1] for known in (
-                    before, np.hstack((before, outputs[2:]))))
+            for own in changes if past > 0 else ():
+                alone = _alone(own, past)
+                _, (left,) = _told(np.column_stack((own[:-1], outputs[2:])), own[np.newaxis, 1:],
+                                   past)
                 least = _SMOOTH * float(np.mean(own ** 2))
                 gain = (count - past) * np.log((alone + least) / (left + least))
                 if gain > _HEARS * np.sqrt(2.0 * past * ny):
@@ -167,8 +167,7 @@ def _has_news(signal: Signal, record: Record, at_once: bool) -> list[bool]:
         return [True] * signal.width
 
     def news(own: Array) -> float:
-        _, left = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
-        return float(left[0]) / max(float(np.mean(own ** 2)), 1e-300)
+        return _alone(own, past) / max(float(np.mean(own ** 2)), 1e-300)
     least = _NEWS * min(map(news, np.diff(outputs, axis=0).T))
     return [news(own) >= least for own in changes]
 
@@ -218,8 +217,8 @@ def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None
     weights, left = _told(outputs[1:], changes, past)
     found: list[Array | None] = []
     for own, power, w in zip(changes, left, weights, strict=True):
-        _, rest = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
-        tells = power < rest[0] and rest[0] > _SMOOTH * np.mean(own ** 2)
+        rest = _alone(own, past)
+        tells = power < rest and rest > _SMOOTH * np.mean(own ** 2)
         found.append(w.reshape(past, -1) if tells else None)
     return found
 
@@ -235,6 +234,12 @@ def _before(signal: Signal, record: Record, at_once: bool) -> tuple[Array, Array
     outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
     return outputs, np.diff(values, axis=0).T, min(
         _PAST, len(times) // (_EACH * outputs.shape[1]))
+
+
+def _alone(own: Array, past: int) -> float:
+    """Return the mean square of what its own past does not tell of a sequence."""
+    _, left = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
+    return float(left[0])
 
 
 def _told(regressors: Array, targets: Array, past: int) -> tuple[Array, Array]:
