@@ -152,6 +152,19 @@ def test_it_is_asked_before_everything_that_takes_long(settings, reached, monkey
             assert (module in reached) <= most[module, name] <= limit
 
 
+def test_no_step_takes_long_however_many_outputs_there_are(monkeypatch):
+    """Counted: what curves of each output explain takes no more than all outputs together."""
+    benchmark, spend, most = runpy.run_path(str(BENCHMARK)), Effort.spend, []
+
+    def counted(self, work):
+        most.append(work / RATE)
+        spend(self, work)
+    monkeypatch.setattr(Effort, 'spend', counted)
+    *shape, _ = benchmark['CASES']['1x12']
+    identify(benchmark['recorded'](*shape), Settings(order=6, delay=0.0))
+    assert 0.01 < max(most) < 0.2
+
+
 def test_who_asks_does_not_change_the_model(record):
     assert to_json(identify(record, QUICK, cancelled=lambda: False)) == \
         to_json(identify(record, QUICK))
@@ -291,6 +304,15 @@ def test_a_budget_that_ends_the_search_gives_a_model(case, budget):
     print(found.statistics['seconds_spent'], found.fit)
     assert found.statistics['seconds_spent'] < 1.2 * budget
     assert found.fit.min() > 75.0                           # the noise leaves 90 %
+
+
+def test_of_a_long_record_a_budget_sees_modes_faster_than_the_samples_it_lasts_for():
+    """Of 360000 samples it takes some 1000, four seconds apart, and a mode of 1 rad/s is there."""
+    found = identify(runpy.run_path(str(BENCHMARK))['recorded'](1, 1, 2, 3600.0, 100.0),
+                     Settings(budget=1.0))
+    print(found.statistics['seconds_spent'], found.model.poles, found.fit)
+    assert found.fit.min() > 89.0                           # the noise leaves 90 %
+    np.testing.assert_allclose(np.abs(found.model.poles), 1.0, rtol=0.02)
 
 
 def test_windows_have_the_budget_of_their_stride():

@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.judge import changed, conclusion, rules
+from ctsid_core.judge.curve import curves_of
 from ctsid_core.judge.excitation import _input_spectra, _uncorrelated, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
@@ -499,6 +500,30 @@ def test_what_two_models_leave_is_what_they_do_to_first_order(seed, number, coun
     # Where they leave too much for a change is not looked at, nor where they promise most.
     assert changed._likely(thin, own, own) == pytest.approx(best[:count])
     assert seed == 12 or best[0] not in most
+
+
+def test_what_curves_of_each_output_leave_is_what_least_squares_leave():
+    """Of each output by themselves, beside what all of them share and what one side has alone."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 10.0, 0.02)
+    u = np.repeat(rng.standard_normal((50, 2)), 10, axis=0)
+    y = np.transpose([lfilter([0.0, 0.1], [1.0, -0.9], u @ own)
+                      for own in ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))])
+    y = y + 0.3 * y ** 2 + 0.05 * rng.standard_normal(y.shape)
+    samples = samples_of([Record.from_arrays(t[k], u[k], t[k], y[k], input_hold='zoh')
+                          for k in (slice(300), slice(250, None))], [[None]] * 2)
+    free = Free(False, True, (True,) * 2, 1.0, -1e-6, 100.0)
+    fit = fit_at(samples, np.array([-5.0 + 0j]), np.zeros(2), free)
+    slopes = slopes_of(samples, (fit.model, free))
+    curves = curves_of(samples, slopes.fit)
+    more = slopes.rest * (slopes.shares > 0.5)[:, np.newaxis]
+    left = slopes.beside(more, curves)
+    whole = np.hstack((slopes.rows, block_diag(*curves), more))
+    whole /= np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
+    rest = slopes.error - whole @ np.linalg.lstsq(whole, slopes.error, rcond=1e-4)[0]
+    assert len(curves) == len(slopes.counts) == 6
+    np.testing.assert_allclose(np.concatenate(left.errors), rest, atol=1e-3)
+    assert left.numbers == np.linalg.matrix_rank(whole, 1e-4)       # some curves are alike
+    assert slopes.beside(more).cost > left.cost
 
 
 def test_sides_too_short_for_a_model_are_not_looked_at():

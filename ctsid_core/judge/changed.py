@@ -220,7 +220,8 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
     def cost(more: Array) -> float:
         return slopes.beside(np.hstack((common, more))).cost
     divided = cost(rest * after)
-    return divided < np.inf and divided <= cost(curves_of(samples, slopes.fit)) and (
+    curves = curves_of(samples, slopes.fit)
+    return divided < np.inf and divided <= slopes.beside(common, curves).cost and (
         not change.share or divided <= cost(slopes.drift))
 
 

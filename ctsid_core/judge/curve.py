@@ -70,14 +70,13 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
     return gains / np.maximum(motion_within(samples, errors), _LEAST)
 
 
-def curves_of(samples: Samples, fit: Fit) -> Array:
-    """Return the columns of curves, for each sample of each output of each record, over errors."""
+def curves_of(samples: Samples, fit: Fit) -> list[Array]:
+    """Return the columns of curves for each output of each record, over the rms of its errors."""
     powers = _powers(samples, residuals(samples, fit))
     size = np.sqrt(np.maximum(fit.power, 1e-300))
-    return np.vstack([block_diag(*(
-        block / one for k, stream in enumerate(record.streams)
-        for block in [_curves(record, k, fit.model, curved)] for one in own[stream.channels]))
-        for record, curved, own in zip(samples.records, powers, size, strict=True)])
+    return [block / one for record, curved, own in zip(samples.records, powers, size, strict=True)
+            for k, stream in enumerate(record.streams)
+            for block in [_curves(record, k, fit.model, curved)] for one in own[stream.channels]]
 
 
 def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:

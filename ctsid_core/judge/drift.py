@@ -110,7 +110,8 @@ def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift
     if not samples.counts.all() or samples.effort.leaves_out(_ASKED):
         return Drift()
     slopes = slopes_of(samples, own)
-    constant, drifting = slopes.beside(slopes.rows[:, :0]), slopes.beside(slopes.drift)
+    none = slopes.rows[:, :0]
+    constant, drifting = slopes.beside(none), slopes.beside(slopes.drift)
     if not drifting.cost < constant.cost:
         return Drift()
 
@@ -126,7 +127,7 @@ def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift
     if gain <= numbers * float(np.log(max(float(np.max(n_eff)), 2.0))) \
             or np.max(missed) <= (0.01 * least) ** 2 or samples.effort.leaves_out(_ASKED):
         return Drift()
-    if drifting.cost >= slopes.beside(curves_of(samples, slopes.fit)).cost:
+    if drifting.cost >= slopes.beside(none, curves_of(samples, slopes.fit)).cost:
         return Drift()
     late = slopes.beside(slopes.drift[:, slopes.delays[~slopes.states]])
     most = int(np.argmax(missed))

@@ -63,17 +63,31 @@ class Slopes:
         basis = basis_of(self.rows)
         return basis, self.error - basis @ (basis.T @ self.error)
 
-    def beside(self, more: Array) -> Left:
-        """Return what further columns leave, at most half as many as there are samples."""
+    def beside(self, more: Array, blocks: Sequence[Array] = ()) -> Left:
+        """
+        Return what further columns leave, at most half as many as there are samples.
+
+        Of each output of each record a block may have columns that are 0 everywhere else.
+        """
         count, k = self.rows.shape
-        if k + more.shape[1] > MOST * count:
+        if k + more.shape[1] + sum(one.shape[1] for one in blocks) > MOST * count:
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        basis, error = self._without
+        left, (basis, error), own = more, self._without, list[Array]()
+        edges = np.cumsum(self.counts.astype(int))[:-1]
+        for one in blocks:
+            self.samples.effort.spend(0.6 * one.size * one.shape[1])
+            own.append(basis_of(one))
+        if blocks:
+            self.samples.effort.spend(0.6 * self.rows.size * k)
+            rows, error, left = (np.concatenate([part - Q @ (Q.T @ part) for Q, part in zip(
+                own, np.split(all_of_it, edges), strict=True)])
+                for all_of_it in (self.rows, self.error, more))
+            basis = basis_of(rows, whole=self.rows)
+            error = error - basis @ (basis.T @ error)
         self.samples.effort.spend(0.6 * count * more.shape[1] * (2 * k + more.shape[1]))
-        own = basis_of(more, basis)
-        numbers = basis.shape[1] + own.shape[1]
-        left = error - own @ (own.T @ error)
-        errors = np.split(left, np.cumsum(self.counts)[:-1])
+        further = basis_of(left, basis, more)
+        numbers = sum(Q.shape[1] for Q in (*own, basis, further))
+        errors = np.split(error - further @ (further.T @ error), edges)
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 

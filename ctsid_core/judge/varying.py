@@ -59,8 +59,8 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
     if not samples.counts.all() or samples.effort.leaves_out(_ASKED):
         return Drift()
     slopes = slopes_of(samples, own)
-    rival = min((slopes.beside(more) for more in (slopes.drift, curves_of(samples, slopes.fit))),
-                key=lambda left: left.cost)
+    rival = min(slopes.beside(slopes.drift), slopes.beside(
+        slopes.rows[:, :0], curves_of(samples, slopes.fit)), key=lambda left: left.cost)
     if not rival.errors:
         return Drift()
     errors = _errors(slopes, np.concatenate(rival.errors))

@@ -210,6 +210,7 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
             for k, channel in enumerate(turned):
                 samples.effort.check()
                 seen[:, k] = np.fft.rfft(channel, axis=0)
+            samples.effort.check()
             both: Array = np.where(np.arange(len(seen)) % (0.5 * count), 2.0, 1.0)
             root = _root_of_spectra(seen @ _turned(seen) / count, np.fft.rfft(
                 noise[:, :, 0], axis=1).T / count, both, samples.effort.check)

@@ -61,14 +61,16 @@ def orthonormal(columns: Array, tolerance: float) -> Array:
     return np.asarray((right[kept] / s[kept, np.newaxis] / size).T)
 
 
-def basis_of(columns: Array, before: Array | None = None) -> Array:
+def basis_of(columns: Array, before: Array | None = None, whole: Array | None = None) -> Array:
     """
     Return an orthonormal basis of what columns (m, k) add to one `before` them, (m, r).
 
     To 1e-8, in a third of the time of Householder's reflections: by Cholesky's decomposition with
-    pivoting. Columns of which less is left than 1e-4 are left out: that is rounding, or none.
+    pivoting. Columns of which less is left than 1e-4, of the `whole` of them if they are what is
+    left already, are left out: that is rounding, or none.
     """
-    size = np.sqrt(np.einsum('ij,ij->j', columns, columns))
+    whole = columns if whole is None else whole
+    size = np.sqrt(np.einsum('ij,ij->j', whole, whole))
     size[size == 0.0] = np.inf
     if before is not None:
         columns = columns - before @ (before.T @ columns)

@@ -37,6 +37,7 @@ _RANKED = 300         # samples of a stream that the grid is ranked on
 _CELLS = 4000         # of time, at most
 _RATES = 6            # decay rates of resonances, damped no more than pairs of the grid
 _LINES = 64000        # cells of time for correlations, at most
+_SHARE = 0.05         # of a budget, that either grid of cells takes at most
 _RIDGE = 1e-9         # of the inner products of candidates' columns: less is rounding
 _PER_CELL = 150.0     # work: of each pole, input and cell of time
 _PER_LINE = 60.0      # work: of each line, decay rate or part of a pole, input and output
@@ -61,7 +62,7 @@ class PoleGrid:
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._beside: dict[tuple[bytes, bytes], list[list[tuple[Array, Array]]]] = {}
-        cells = _cells_of(samples, longest, finest, _CELLS)
+        cells = _cells_of(samples, longest, finest, _CELLS, _PER_CELL * len(self.poles))
         self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
                                       samples.effort) for c in cells] for real in (True, False)}
 
@@ -158,7 +159,8 @@ class Correlations:
 
     def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
         self._samples = samples
-        self._cells = _cells_of(samples, longest, finest, _LINES)
+        self._cells = _cells_of(samples, longest, finest, _LINES,
+                                _PER_LINE * _REAL * (1 + len(_DAMPING)) * samples.ny)
         self.step, lags = self._cells[0].step, max(c.count for c in self._cells)
         self._size = next_fast_len(2 * lags, real=True)
         self._lines = 2.0 * np.pi / self.step * np.fft.rfftfreq(self._size)
@@ -268,9 +270,12 @@ class Correlations:
         return np.fft.rfft(lagged, self._size)[..., :len(self._omega)]
 
 
-def _cells_of(samples: Samples, longest: float, finest: float, most: int) -> list[_Cells]:
-    """Return the cells of all records, of one size."""
-    length = samples.length + longest
+def _cells_of(samples: Samples, longest: float, finest: float, most: int,
+              work: float) -> list[_Cells]:
+    """Return the cells of all records, of one size; `work` is what each takes, and each input."""
+    length, effort = samples.length + longest, samples.effort
+    if effort.budget:
+        most = min(most, int(_SHARE * effort.worth(effort.budget) / (work * samples.nu)))
     step = float(length / np.clip(length // finest, 16, most))
     return [_Cells(r, longest, step) for r in samples.records]
 

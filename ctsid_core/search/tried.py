@@ -241,11 +241,14 @@ def advantage_in_colour(one: Tried, other: Tried) -> float:
 
     The less of what independent samples and errors of any colour say: few samples are independent
     of what missing states leave, and a model without them would seem as right as one that leaves
-    nothing but noise.
+    nothing but noise. And the less of what it has over the first one, and over that with a drift.
     """
     matters = np.maximum(one.power, other.power) > LEAST ** 2
-    return min(advantage(one, other),
+    gain = min(advantage(one, other),
                in_colour(one, matters, AKAIKE) - in_colour(other, matters, AKAIKE))
+    if one.drifting is None or (one.found is None) != (other.found is None):
+        return gain
+    return min(gain, advantage_in_colour(one.drifting, other.found or other))
 
 
 def shares_of(others: list[tuple[float, ModalModel]]) -> tuple[tuple[float, ModalModel], ...]:
