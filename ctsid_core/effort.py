@@ -66,10 +66,14 @@ class Effort:
         """Whether the budget is spent, but for what is kept."""
         return self.beyond(1.0)
 
-    def beyond(self, share: float) -> bool:
-        """Return whether more than a share of the budget, less what is kept, is spent."""
+    def beyond(self, share: float, work: float = 0.0) -> bool:
+        """
+        Return whether more than a share of the budget, less what is kept, is spent.
+
+        Or would be, with some more `work`.
+        """
         free = max(self.budget - self._kept / self._rate, 0.0)
-        return self.budget > 0.0 and share * free <= self.seconds
+        return self.budget > 0.0 and share * free <= self.seconds + work / self._rate
 
     def leaves_out(self, what: str, share: float = 1.0) -> bool:
         """Return whether more than a share is spent, and keep in mind what is not asked then."""

@@ -198,22 +198,20 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     for own in whole.columns.triangles:
         for t in own:
             samples.effort.check()
-            count = len(t.one)
+            count, channels = len(t.one), len(t.channels)
             if not count:
                 continue
-            shape = len(t.channels), count
-            block = slice(at, at + shape[0] * shape[1])
+            block = slice(at, at + channels * count)
             at = block.stop
-            turned, noise = (x.reshape(*shape, -1) for x in (rows[block] @ directions,
-                                                             errors[block]))
-            seen = np.empty((count // 2 + 1, shape[0], turned.shape[2]), dtype=complex)
-            for k, channel in enumerate(turned):
+            noise = errors[block].reshape(channels, count)
+            seen = np.empty((count // 2 + 1, channels, len(found)), dtype=complex)
+            for k, channel in enumerate(np.split(rows[block], channels)):
                 samples.effort.check()
-                seen[:, k] = np.fft.rfft(channel, axis=0)
+                seen[:, k] = np.fft.rfft(channel @ directions, axis=0)
             samples.effort.check()
             both: Array = np.where(np.arange(len(seen)) % (0.5 * count), 2.0, 1.0)
             root = _root_of_spectra(seen @ _turned(seen) / count, np.fft.rfft(
-                noise[:, :, 0], axis=1).T / count, both, samples.effort.check)
+                noise, axis=1).T / count, both, samples.effort.check)
             samples.effort.check()
             moved = root @ seen
             for part in (moved.real, moved.imag):

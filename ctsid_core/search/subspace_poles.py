@@ -59,14 +59,15 @@ class Subspace:
         Return the regressions, with dead times as they are given or as first found.
 
         Small models of several inputs have any dead times: those given are a start, too, and where
-        a budget is short the first that are asked for are all.
+        a budget is short the first that are asked for are all; none, if it does not last for any.
         """
         given = bool(np.array_equal(delay, self._own.delays(len(delay))))
-        if given in self._made or self._made and self._effort.beyond(POINT):
+        work = _PROJECTION + _PER_SAMPLE * sum(
+            float(len(s.time)) for p in self._part.parts for s in p.record.outputs)
+        if given in self._made or self._effort.beyond(POINT if self._made else 1.0, work):
             return self._made.get(given)
         self._made[given], own = None, self._own.replace(delay=tuple(delay.tolist()))
-        self._effort.spend(_PROJECTION + _PER_SAMPLE * sum(
-            float(len(s.time)) for p in self._part.parts for s in p.record.outputs))
+        self._effort.spend(work)
         with suppress(np.linalg.LinAlgError):
             self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
