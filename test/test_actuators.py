@@ -231,13 +231,30 @@ def test_channels_of_one_message_have_their_own():
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
     ('no-gain-jump', 300, 2), ('no-gain-jump', 4, 6), ('no-pole-jump', 300, 6),
-    ('quadratic-drag', 135, 6), ('no-clipped', 4, 0), *slow(('gain-drift', 300, 1))])
+    ('quadratic-drag', 135, 6), ('quadratic-drag', 303, 6), ('no-clipped', 4, 0),
+    *slow(('gain-drift', 300, 1))])
 def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
-    """Two of the jumps two models tell as well; drag and a clipped sensor leave too much."""
+    """Two models, or curves, tell of jumps and drag as well; a clipped sensor leaves too much."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
     given = robots.experiment(family, seed, number)
     found = identify(given.record)
     assert not any((found.model or found.rejected_model).actuators[0])
+
+
+@pytest.mark.parametrize(('family', 'number', 'kind', 'value'), [
+    ('saturation-30', 0, 'limit', 0.78), ('backlash', 4, 'backlash', 0.198),
+    *slow(('backlash', 5, 'backlash', 0.29))])
+def test_kinds_are_compared_at_the_number_that_is_likeliest(family, number, kind, value):
+    """A rate limit, a dead zone, or a limit beside it was likelier at one of the numbers tried."""
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    trials = pytest.importorskip('ctsid_ros.studies.robots.trials')
+    given = robots.experiment(family, 302, number)
+    found = identify(given.record)
+    assert found.good, found.verdict.reason
+    told = found.model.actuators[0]._asdict()
+    assert [name for name, one in told.items() if one] == [kind]
+    assert told[kind] == pytest.approx(value, rel=0.03)
+    assert trials.simulated(found.model, given.test)[0] > 98.0
 
 
 def test_windows_that_do_not_reach_a_limit_keep_that_of_those_before():

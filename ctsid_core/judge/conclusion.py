@@ -11,7 +11,7 @@ from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
-from ctsid_core.judge.curve import curve_gains
+from ctsid_core.judge.curve import curve_gains, curves_of
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
@@ -27,6 +27,7 @@ from ctsid_core.judge.rules import (
     pole_uncertainty,
     tested,
 )
+from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.judge.unmoved import unmoved_notes
 from ctsid_core.judge.varying import varying_gains
@@ -135,16 +136,26 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         records=_shares(solution) if part.several else ())
 
 
-def changes_explain_more(solution: Solution, acted: Solution) -> bool:
-    """Return whether two models of what was sent explain clearly more than one of what acts."""
+def others_explain_more(solution: Solution, acted: Solution) -> bool:
+    """
+    Return whether two models of what was sent, or curves, explain clearly more than what acts.
+
+    A plant that changes looks like what acts of steps of two sizes; drag, or a sensor that is
+    clipped, like a limit.
+    """
     if solution.simulated is None or acted.simulated is None:
         return False
-    change = most_likely_change(*solution.simulated, solution.smaller, solution.telling)
+    samples, fit, free = solution.simulated
+    change = most_likely_change(samples, fit, free, solution.smaller, solution.telling)
     before, after = ((1.0 - 0.01 * fit) ** 2 for fit in change.two)
     two = change.share * before + (1.0 - change.share) * after
-    samples, fit, _ = acted.simulated
-    return change.cost > NOTED and change.share > 0.0 and _CLEARLY * two < float(
-        np.max(samples.mean(fit.power)))
+    power = acted.simulated[0].mean(acted.simulated[1].power)
+    if change.cost > NOTED and change.share > 0.0 and _CLEARLY * two < float(np.max(power)):
+        return True
+    slopes = slopes_of(samples.thinned(SEARCHED), (fit.model, free))
+    curved = slopes.beside(slopes.rows[:, :0], curves_of(slopes.samples, slopes.fit))
+    return bool(np.any(_CLEARLY * slopes.samples.mean(
+        curved.power.reshape(-1, samples.ny) * slopes.fit.power) < power))
 
 
 def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:

@@ -33,14 +33,14 @@ from ctsid_core.signals.record import channel_slices
 
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
-_MOST = 0.7           # times the error that is not noise, that what acts may leave, ...
-_LEFT = 0.06          # ... and of the motion: curves of sensors, seen at their outputs, leave more
+_LEFT = 0.06          # error that is not noise, over the motion, that what acts may leave: what
+                      # bends at outputs, as a sensor that is clipped, leaves more
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.003      # it is looked for no more closely
 _STARTS = 2           # pairs of poles that it is looked for with, too
 _SOONER = 0.5         # times the dead time: of what is sent it may stand for what drags
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
-_BEST = 5             # ... and of the best ones of each kind so many climb on
+_BEST = 2             # ... and of the best ones of each kind so many are made the most of
 _FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
 _PASSES = 4           # in which numbers are found, one after the other
 _ROUNDS = 6           # as often it is looked for, unless it is hardly likelier then
@@ -141,10 +141,8 @@ def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) ->
 
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
-    """Return whether a model of what acts is surely likelier, and leaves little, or is smaller."""
-    fewer = one.fit.model.n < other.fit.model.n
-    return one.unexplained < _LEFT and _gain(one, other, numbers) > _SURELY and (
-        fewer or one.unexplained < _MOST * other.unexplained)
+    """Return whether a model of what acts is surely likelier, and leaves little."""
+    return one.unexplained < _LEFT and _gain(one, other, numbers) > _SURELY
 
 
 def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> float:
@@ -199,7 +197,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1, kind == 'timeout') \
                 < _SURELY * (1 + sum(map(bool, acting[channels[0]]))):
             break
-        own, acting = _nearer(commands, *best, _set(new, best[1]))
+        own, acting = _nearer(commands, *best, _PASSES * _set(new, best[1]))
     if own is not None:
         own, acting = _nearer(commands, own, acting, _PASSES * _set(sought, acting))
     if own is None or given is None or _gain(own, given, 0) < _CHANCE:
@@ -259,8 +257,12 @@ def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple
 def _next(commands: Commands, screen: Commands, acting: Acting,
           sought: Sequence[tuple[tuple[int, ...], str]],
           starts: Sequence[Start]) -> tuple[Tried, Acting] | None:
-    """Return what most likely lies before an input, too, and the model with it."""
-    likely = list[tuple[float, Acting, Fit]]()
+    """
+    Return what most likely lies before an input, too, and the model with it.
+
+    Each kind with the number that is likeliest: those that are tried are far apart.
+    """
+    likely = list[tuple[float, Acting, Fit, tuple[tuple[int, ...], str]]]()
     for channels, kind in sought:
         if getattr(acting[channels[0]], kind):
             continue
@@ -268,10 +270,11 @@ def _next(commands: Commands, screen: Commands, acting: Acting,
         for value in screen.values(channels[0], kind):
             other = with_number(acting, channels, kind, value)
             if (one := screen.climbed(other, starts)) is not None:
-                near.append((one.cost, other, one))
+                near.append((one.cost, other, one, (channels, kind)))
         likely += sorted(near, key=lambda n: n[0])[:1]
-    found = [(best, other) for _, other, one in sorted(likely, key=lambda n: n[0])[:_BEST] if (
-        best := commands.reached(other, [(one.model.poles, one.model.delay)])) is not None]
+    found = [_nearer(commands, best, other, [new]) for _, other, one, new in sorted(
+        likely, key=lambda n: n[0])[:_BEST] if (best := commands.reached(
+            other, [(one.model.poles, one.model.delay), *starts])) is not None]
     return min(found, key=lambda one: one[0].fit.cost, default=None)
 
 

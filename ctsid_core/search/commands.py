@@ -13,7 +13,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.search.tried import Tried, roughly
+from ctsid_core.search.tried import Tried, tried
 from ctsid_core.settings import LARGEST_INPUT, Actuator
 from ctsid_core.signals.actuators import behind
 from ctsid_core.signals.gaps import silent_between
@@ -71,11 +71,12 @@ class Commands:
 
     def reached(self, actuators: Mapping[int, Actuator], starts: Sequence[Start]) -> Tried | None:
         """Return the best of what some starts lead to."""
-        samples, found = self.acting(actuators), list[Tried]()
-        for start in starts:
-            with suppress(np.linalg.LinAlgError):
-                found.append(roughly(samples, *start, self.free))
-        return min(found, key=lambda one: one.fit.cost, default=None)
+        samples, best = self.acting(actuators), None
+        begun = [one for start in starts if (one := self.at(samples, start)) is not None]
+        for one in sorted(begun, key=lambda fit: fit.cost):
+            other = climb_roughly(samples, one, self.free, np.inf if best is None else best.cost)
+            best = other if best is None or other.cost < best.cost else best
+        return None if best is None else tried(samples, best, self.free)
 
     def values(self, channel: int, kind: str) -> list[float]:
         """Return numbers to begin with."""
