@@ -73,7 +73,6 @@ class Samples:
     ny: int
     size: Array     # (ny,): standard deviation of each output, that it was divided by
     effort: Effort  # that looking at them is part of
-    finest: float   # median interval of the finest output, before any samples are left out [s]
 
     @property
     def rank(self) -> int:
@@ -115,6 +114,11 @@ class Samples:
     def interval(self) -> float:
         """Median interval of the slowest output [s]."""
         return slowest([s for r in self.records for s in r.streams])
+
+    @property
+    def finest(self) -> float:
+        """Median interval of the finest output [s]."""
+        return min(s.period for r in self.records for s in r.streams)
 
     @cached_property
     def held(self) -> Array:
@@ -192,5 +196,4 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
         span = (first, record.end) if whole is record else (whole.start, whole.end)
         found.append(RecordSamples(record.inputs, first, record.end, tuple(streams),
                                    span, recordings.index(whole), record.commands))
-    finest = min(s.period for r in found for s in r.streams)
-    return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort(), finest)
+    return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())

@@ -68,19 +68,21 @@ SubspacePoles = Callable[[int, Array], Iterator[ComplexArray]]
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                   order: int, max_order: int, known_delay: Array,
-                  near: Sequence[Array] = ()) -> tuple[Samples, dict[int, Tried]]:
+                  near: Sequence[Array] = (),
+                  finest: float = 0.0) -> tuple[Samples, dict[int, Tried]]:
     """
     Return the best model of each order that was tried: of one order, or any up to `max_order` (0).
 
     Before them the samples they are of: as many as the budget suffices for.
 
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
-    (nu,) [s], is 0 where dead times are free; `near` are further dead times to begin with.
+    (nu,) [s], is 0 where dead times are free; `near` are further dead times to begin with. Inputs
+    are looked at with the interval `finest` [s]; 0: that of the samples.
     """
     thin = samples.thinned(SEARCHED, scattered=True)
     grid = PoleGrid(thin, feedthrough=free.feedthrough, trim=free.trim,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
-                    fastest=free.fastest, finest=samples.finest)
+                    fastest=free.fastest, finest=finest or samples.finest)
     found: dict[int, Tried] = {}
     looked: set[int] = set()
     best, far = 1, 0

@@ -31,7 +31,7 @@ from ctsid_core.search.solution import (
     used,
 )
 from ctsid_core.search.subspace_poles import Subspace
-from ctsid_core.search.task import Task, free_of, samples_of_part
+from ctsid_core.search.task import Task, samples_of_part
 from ctsid_core.search.tried import (
     LEAST,
     SEARCH,
@@ -86,7 +86,7 @@ def _simulated(task: Task) -> Solution | None:
     fail.
     """
     samples, subspace = task.seen(), Subspace(task)
-    free = replace(free_of(samples, task.own), feedthrough=False)
+    free = replace(task.free(samples), feedthrough=False)
     task, one = _by_orders(task, samples, free, subspace)
     if one is None:
         return None
@@ -107,7 +107,7 @@ def _simulated(task: Task) -> Solution | None:
 def _predicted(task: Task) -> Solution | None:
     """Return the model where outputs follow no input at once, as in a loop, but their past."""
     samples, subspace = task.seen(), Subspace(task)
-    free = free_of(samples, task.own)
+    free = task.free(samples)
     sought = predicted(task, samples, free)
     if sought is not None and (solved := _at_once(task, samples, free, sought)):
         return solved
@@ -161,7 +161,7 @@ def _by_orders(task: Task, samples: Samples, free: Free,
     settings = task.settings
     samples, found = search_orders(
         samples, free, subspace.poles, order=settings.order, max_order=settings.max_order,
-        known_delay=np.array(task.own.delays(samples.nu)))
+        known_delay=np.array(task.own.delays(samples.nu)), finest=task.finest)
     task = replace(task, most=min(task.most, int(np.max(samples.counts.sum(axis=0)))))
     # As many numbers as there are samples explain any.
     found = {n: one for n, one in found.items() if one.parameters < samples.counts.sum()}

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -37,6 +38,15 @@ class Task:
         """Names of the moving inputs."""
         names = self.part.parts[0].whole.input_names
         return [names[j] for j in self.part.parts[0].u]
+
+    @cached_property
+    def finest(self) -> float:
+        """Median interval of the finest output before a budget leaves any samples out [s]."""
+        return samples_of_part(self.part, self.effort).finest
+
+    def free(self, samples: Samples) -> Free:
+        """Return what is free, and modes as fast as all samples tell: inputs are known between."""
+        return replace(free_of(samples, self.own), fastest=FASTEST * np.pi / self.finest)
 
     def seen(self, ahead: float = 0.0) -> Samples:
         """Return the samples, outputs left out for so long after the start [s]."""
