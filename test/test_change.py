@@ -32,7 +32,7 @@ from ctsid_core.judge.changed import _divided
 from ctsid_core.likelihood.output_error import climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.verdict import Remedy
-from ctsid_core.search.solve import free_of
+from ctsid_core.search.task import free_of
 from ctsid_core.signals.record import Signal
 from ctsid_ros.studies.robots.families import experiment
 
@@ -297,14 +297,29 @@ def test_a_gain_that_comes_back_is_not_good(gain, spread, seed):
     found = identify(varying(seed, gain))
     assert found.verdict.grade is Grade.WEAK
     assert found.verdict.remedy is Remedy.SPLIT
-    told = re.fullmatch(r'Gains change and come back \(of u1 by (\d+) % .*', found.verdict.reason)
-    assert 0.01 * float(told[1]) == pytest.approx(spread, abs=0.05)
+    told = re.fullmatch(r'Gains change(?: from (.*) to (.*) s after the start of the window)? and '
+                        r'come back \(of u1 by (\d+) % .*', found.verdict.reason)
+    assert 0.01 * float(told[3]) == pytest.approx(spread, abs=0.05)
+    assert bool(told[1]) == (gain is carries)
+    if told[1]:
+        assert [float(t) for t in told.groups()[:2]] == pytest.approx([21.3, 39.0], abs=1.5)
+
+
+def test_a_command_that_did_not_reach_the_robot_is_left_out():
+    """The time in which the gain was another is named: without it the model is GOOD."""
+    given = varying(4, lambda t: 0.0 if 30.0 < t < 34.0 else 1.0)
+    found = identify(given)
+    assert 'leaving that out if a command was lost there' in found.verdict.reason
+    begin, back = (60.0 * found.statistics[key] for key in ('drift_from', 'drift_to'))
+    assert (begin, back) == pytest.approx((30.0, 34.0), abs=1.3)
+    assert identify([given.between(0.0, begin), given.between(back, 60.0)]).good
 
 
 def test_of_several_inputs_and_records_those_whose_gains_vary_are_named():
     found = identify([varying(3, still, still), varying(1, still, carries)])
-    assert found.verdict.reason.startswith(
-        'Gains change within record 2 and come back (of u2 by 1')
+    told = re.match(r'Gains change from (.*) to (.*) s after the start of record 2 and come back '
+                    r'\(of u2 by 1', found.verdict.reason)
+    assert [float(t) for t in told.groups()] == pytest.approx([21.3, 39.0], abs=1.5)
 
 
 @pytest.mark.parametrize('level', [0.5, *slow(1.0)])
@@ -312,7 +327,7 @@ def test_a_robot_that_mainly_drives_forward_slips_too(level):
     """The mean of an input is moved by a gain that jumps, as what it does beside that is."""
     found = identify(varying(2, carries, level=level))
     assert found.verdict.grade is Grade.WEAK
-    assert found.verdict.reason.startswith('Gains change and come back (of u1 by 1')
+    assert re.match(r'Gains change.* and come back \(of u1 by 1', found.verdict.reason)
     # It jumps twice, and no jump is told that is not worth a size and an instant.
     assert int(re.search(r'(\d+) jumps explain it', found.verdict.reason)[1]) <= 4
 

@@ -662,6 +662,67 @@ def test_drive_base(base):
         guessed(base, 3)
 
 
+def teleop(seed: int, *, timeout: float = 0.5, repeat: bool = True, cross: float = 0.0
+           ) -> list[Sent]:
+    """
+    Return a base under keys: a command, perhaps repeated at 10 Hz, and often none for seconds.
+
+    After a timeout the driver stops it. `cross`: how far each axis moves the other one.
+    """
+    rng, count, sent = np.random.default_rng(seed), 3000, []
+    acts, begins = np.zeros((count, 2)), 50
+    while begins < count - 200:
+        press, pause = 25 * rng.integers(1, 5), rng.integers(40, 150) * (rng.random() < 0.7)
+        wanted = rng.choice((-1.0, 1.0), 2) * rng.choice((0.5, 1.0), 2) * \
+            np.array(((1, 0), (0, 1), (1, 1)))[rng.integers(3)]
+        for k in range(begins, begins + press if repeat else begins + 1, 5):
+            sent.append(Sent('/cmd_vel', TWIST, START + k * S // 50, twist(*wanted)))
+            acts[k:] = 0.0
+            acts[k:k + round(50 * timeout)] = wanted
+        begins += press + pause
+    acts = acts @ (np.eye(2) + cross * np.eye(2)[::-1])
+    speeds = np.column_stack((lagged(acts[:, 0], 5.0, 0.02), lagged(acts[:, 1], 7.0, 0.02)))
+    yaw = 0.02 * np.cumsum(speeds[:, 1])
+    for k, (x, turn) in enumerate(speeds):
+        stamp, noise = START + k * S // 50, 0.01 * rng.standard_normal(3)
+        attitude = make('geometry_msgs/msg/Quaternion', z=np.sin(yaw[k] / 2),
+                        w=np.cos(yaw[k] / 2))
+        sent.append(Sent('/odom', ODOMETRY, stamp, make(
+            ODOMETRY, header=header(stamp),
+            pose=make('geometry_msgs/msg/PoseWithCovariance', covariance=np.zeros(36),
+                      pose=make('geometry_msgs/msg/Pose', orientation=attitude)),
+            twist=make('geometry_msgs/msg/TwistWithCovariance', covariance=np.zeros(36),
+                       twist=twist(x + noise[0], turn + noise[1])))))
+        gyro = vector(0.0, 0.0, turn + noise[2])
+        sent.append(Sent('/imu', IMU, stamp, make(IMU, header=header(stamp),
+                                                  angular_velocity=gyro)))
+    return sorted(sent, key=lambda one: one.log_ns)
+
+
+PUSH, TURN = ('/cmd_vel', 'linear.x'), ('/cmd_vel', 'angular.z')
+SPEED, SPIN = ('/odom', 'twist.twist.linear.x'), ('/odom', 'twist.twist.angular.z')
+GYRO = '/imu', 'angular_velocity.z'
+
+
+@pytest.mark.parametrize(('seed', 'how'), [
+    (1, {}), (2, {'timeout': 99.0, 'repeat': False}), *slow(
+        *((seed, {}) for seed in (2, 3, 4)), (1, {'timeout': 99.0}))])
+def test_keys_that_are_not_pressed_hide_no_plant(tmp_path, seed, how):
+    """A driver stops the base, or holds; of two sensors of its turn neither is the input."""
+    found = guessed(write_mcap(tmp_path / 'keys.mcap', teleop(seed, **how)))
+    pairs = keys(found)
+    assert {(PUSH, SPEED), (TURN, SPIN if (TURN, SPIN) in pairs else GYRO)} == set(pairs[:2])
+    assert all(p.explained.past > max(0.95, p.explained.future) for p in found.pairs[:2])
+    assert len(found.config.inputs) == 1
+
+
+def test_axes_that_move_each_other_have_both_commands(tmp_path):
+    found = guessed(write_mcap(tmp_path / 'keys.mcap', teleop(1, cross=0.3)))
+    assert {(c.topic, c.field) for c in found.config.inputs} == {PUSH, TURN}
+    assert any("--input '/cmd_vel linear.x' --input '/cmd_vel angular.z' --output" in reason
+               and reason.count('--output') > 1 for reason in found.reasons)
+
+
 @pytest.mark.parametrize(('noise', 'moving'), [(0.0, True), (0.01, False), *slow((0.01, True))])
 def test_a_measured_effort_is_no_motion(tmp_path, noise, moving):
     """It only repeats the command, a tick later; but where nothing else is recorded, it is all."""
@@ -849,7 +910,8 @@ def test_large_bags_are_read_in_portions(base, monkeypatch):
                 assert other.stamps[-1].gaps == topic.stamps[-1].gaps == 0
         ranking = rank(bag, found)
     assert len(ranking.clock.parts) == len(parts)
-    assert ranking.pairs[0].input.key == ('/twist_out', 'twist.angular.z')
+    assert {p.input.key for p in ranking.pairs[:2]} == {
+        ('/twist_out', 'twist.angular.z'), ('/twist_out', 'twist.linear.x')}
     ends = np.concatenate([ranking.clock.time[p][[0, -1]] for p in ranking.clock.parts])
     assert (np.diff(ends) > 0).all()
 
@@ -905,6 +967,9 @@ def test_try_does_all_in_one_go(base, tmp_path, capsys, monkeypatch):
     assert config.inputs[0].field == 'twist.linear.x'
     report = (tmp_path / 'res/report.md').read_text(encoding='utf-8')
     assert '--params res/params.yaml --interval 9.9:' in report
+    assert 'next pair' not in out
+    assert main(['try', str(base), '--out', 'first', '--quiet']) == 0
+    assert f'next pair of signals: ctsid try {base} --pick 2' in capsys.readouterr().out
 
 
 @pytest.mark.slow

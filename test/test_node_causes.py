@@ -167,16 +167,19 @@ def test_a_silence_within_the_last_window_is_told_until_it_has_left(dead):
     config = replace(CONFIG, settings=CONFIG.settings.replace(
         window_length=4.0, window_max_delay=2.0))
     feed, look = Feed(config, TYPES, lambda _: 1), IngestDiagnosis(config, EPOCH)
-    said, causes = {}, {}
+    said, causes, levels = {}, {}, {}
     for second in range(20):
         now_ns = EPOCH + second * S
         feed.take([Taken(now_ns, topic, raw) for topic, raw in (
             ('/rate', rate(now_ns, 0.1)), ('/cmd', command([0, 1])))
             if topic != dead or not 5 <= second < 8], now_ns)
-        said[second] = look.look(feed, now_ns, 1.5, [], '').message
-        causes[second] = '; '.join(look.troubles)
+        found = look.look(feed, now_ns, 1.5, [], '')
+        said[second], levels[second] = found.message, found.level
+        causes[second] = '; '.join(look.causes)
     assert 'silent' not in causes[5]
-    assert f'{dead} has been silent for 3.0 s' in said[7]
+    assert f'{dead} has been silent for 3.0 s' in causes[7]
+    assert ('has been silent' in said[7]) == (dead == '/rate')
+    assert levels[7] == (Level.WARN if dead == '/rate' else Level.OK)
     assert f'{dead} was silent for 3.0 s until 1 s ago' in causes[8]
     assert f'{dead} was silent for 3.0 s until 3 s ago' in causes[10]
     assert ('was silent' in said[8]) == (dead == '/rate')
@@ -187,7 +190,7 @@ def test_a_silence_within_the_last_window_is_told_until_it_has_left(dead):
     feed.take([Taken(EPOCH + 27 * S, '/rate', rate(EPOCH, 0.1)),
                Taken(EPOCH + 27 * S, '/cmd', command([0, 1]))], EPOCH + 27 * S)
     look.look(feed, EPOCH + 27 * S, 1.5, [], '')
-    assert 'silent' not in '; '.join(look.troubles)
+    assert 'silent' not in '; '.join(look.causes)
 
 
 def test_how_full_the_next_window_is_is_told_while_none_comes():

@@ -306,6 +306,16 @@ def test_a_record_that_changes_is_divided_where_it_lies():
     assert headline(other, several).command == 'ctsid identify b --params p.yaml'
 
 
+def test_a_time_in_which_gains_are_others_is_left_out():
+    given = Estimate(status=Status.CHANGED, settings=Settings(), verdict=Verdict(
+        grade=Grade.WEAK, reason='x', remedy=Remedy.SPLIT),
+        statistics={'drift_from': 0.2, 'drift_to': 0.4, 'drift_record': 2.0, 'change_share': 0.3})
+    one = Run('', ('bag',), 'p.yaml', '', (1.0, 11.0))
+    several = replace(one, records=(replace(one, span=(0.0, 0.5)), one))
+    assert headline(given, several).command == (
+        'ctsid identify bag --params p.yaml --interval 1.0:3.0 --interval 5.0:11.0')
+
+
 def test_advice_after_an_interval_is_on_that_interval(folder):
     found = load_estimate(folder / 'res/model.json')
     weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=Remedy.EXCITE))

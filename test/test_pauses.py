@@ -610,6 +610,18 @@ def test_a_channel_with_a_single_sample_in_a_part_is_no_reason_to_fail():
     identify(both)
 
 
+def test_a_part_whose_inputs_are_known_at_its_end_only_is_no_reason_to_fail():
+    """A base drives again as its recording ends, after odometry was lost for a while."""
+    given = commanded(5, 0.5, 0.5, duration=30.0)
+
+    def without(signals, first, last):
+        return tuple(replace(s, time=s.time[known], values=s.values[known])
+                     for s in signals for known in [(s.time < first) | (s.time > last)])
+    record = Record.from_signals(without(given.inputs, 5.6, 9.9), without(given.outputs, 6.0, 9.0))
+    found = identify(record.between(0.0, 10.5))
+    assert np.sort(found.model.poles.real) == pytest.approx([-7.0, -4.0], rel=0.1)
+
+
 @pytest.mark.parametrize('family', ['flexible-joint', *slow(
     'random-2x2', 'pendulum', 'backlash', 'slow-pole', 'sensor-lowpass')])
 def test_robots_that_pause(family):

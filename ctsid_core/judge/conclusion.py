@@ -132,7 +132,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                    None, (evidence.wrapped, evidence.doubt)) if setting not in verdict.reason),
                *((evidence.spent,) if evidence.spent not in verdict.reason else ())),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
-                    'drift_cost': drift.cost},
+                    'drift_cost': drift.cost, **_others(part, drift)},
         records=_shares(solution) if part.several else ())
 
 
@@ -314,8 +314,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         at_once=tuple(np.ravel(at_once).tolist()),
         follows_at_once=solution.doubt is not None and solution.doubt[1] == DIRECT
         and never_rest([p.record for p in part.parts]), within=seen[2], drift=drift,
-        drifting=f' within record {part.numbers[drift.record]}'
-        if part.several and drift.record >= 0 else '',
+        drifting=_drifting(part, drift),
         faults=part.numbered([p.whole.faults for p in part.parts]))
 
 
@@ -417,6 +416,30 @@ def _where(part: Joint, change: Change) -> str:
         return f'in all of {name}'
     about = f'about {after_start(_share(part, change) * whole.recording.duration)}'
     return by_clock(about, 0.0, name) if part.several else about
+
+
+def _drifting(part: Joint, drift: Drift) -> str:
+    """Return where the plant drifts, or when gains are others, in words."""
+    if drift.record < 0 or not (drift.span or part.several):
+        return ''
+    name = f'record {part.numbers[drift.record]}'
+    if not drift.span:
+        return f' within {name}'
+    duration = part.parts[drift.record].whole.recording.duration
+    span = after_start(*(duration * share for share in _shares_of(part, drift)))
+    return f' {by_clock(span, 0.0, name) if part.several else span}'
+
+
+def _shares_of(part: Joint, drift: Drift) -> list[float]:
+    """Return from when to when gains are others, as parts of the whole record, if known."""
+    return [_share(part, Change(drift.record, share)) for share in drift.span]
+
+
+def _others(part: Joint, drift: Drift) -> dict[str, float]:
+    """Return when gains are others, and of several records in which."""
+    found = dict(zip(('drift_from', 'drift_to'), _shares_of(part, drift), strict=False))
+    return found | ({'drift_record': float(part.numbers[drift.record])}
+                    if found and part.several else {})
 
 
 def _share(part: Joint, change: Change) -> float:

@@ -45,6 +45,7 @@ class Drift(NamedTuple):
     inputs: tuple[InputDrift, ...] = ()     # of which the model is the mean, as far as it is known
     moved: float = 0.0      # the same over all records, of gains and dead times alone if known [%]
     jumps: int = 0          # how often gains jump, if they come back
+    span: tuple[float, ...] = ()    # from when to when they are others, as parts of the record
 
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:

@@ -145,8 +145,9 @@ def _drift(e: Evidence) -> str:
         gains = ', '.join(f'of {one.name} by {100.0 * one.gain:.0f} %' for one in e.drift.inputs)
         return (f'gains change{e.drifting} and come back ({gains} around the mean, rms; '
                 f'{e.drift.jumps} jumps explain it): constant ones miss {e.drift.cost:.1f} % of '
-                'the motion; take windows in which they stay (if small commands are ignored, move '
-                'the input more)')
+                'the motion; take windows in which they stay'
+                + ', leaving that out if a command was lost there, or did not reach the robot'
+                * bool(e.drift.span) + ' (if small commands are ignored, move the input more)')
     what, cure = ('the dead time drifts', f', or correct stamps by clocks that run apart '
                   f'({_BY_LOG})') if e.drift.late else ('the plant drifts', '')
     moves = ', '.join(f'the {name} of {one.name} by {value}' for one in e.drift.inputs
@@ -227,8 +228,9 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
-            f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
-            'how much; identify each side by itself.')
+            f'Predictions tell that the plant changed {e.where}, or for a while what moves it (a '
+            'command that was lost, a push), and simulations do not show by how much; identify '
+            'each side by itself.')
     if e.drift.moved > _DRIFTED:
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:

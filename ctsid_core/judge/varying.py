@@ -81,7 +81,8 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
             if gain > worth and coloured[i] < _LEFT * noisy[i]:
                 worth, spread = gain, _spread(slopes, moved, np.sort(jumps) + 1)
                 found = Drift(place, 100.0 * float(np.sqrt((noisy - coloured)[i])), inputs=tuple(
-                    InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps))
+                    InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps),
+                    span=_span(jumps))
                 best = coloured
     # Gusts are jumps of a load, which those of a gain imitate.
     imitated = found.cost > NOTED and any(
@@ -89,6 +90,12 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
         for load in _moved(slopes, None).T
         for _, left in islice(_jumps(slopes, load[:, 1:]), found.jumps - 1, found.jumps))
     return found if found.cost > NOTED and not imitated else Drift()
+
+
+def _span(jumps: Sequence[int]) -> tuple[float, ...]:
+    """Return from when to when gains are others than in most of the record, if it is so."""
+    first, last = min(jumps) + 1, max(jumps) + 1
+    return (first / _INSTANTS, last / _INSTANTS) if 0 < last - first < _INSTANTS / 2 else ()
 
 
 def _errors(slopes: Slopes, errors: Array) -> Residuals:

@@ -138,6 +138,8 @@ def _predicts_better(task: Task, samples: Samples, best: Tried, found: Predictio
     asked = growth <= GROWS and not np.any(
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < GROWS))
     for place, counts in enumerate(samples.counts):
+        if np.min(counts) < 2:      # nothing is ahead of a single sample
+            continue
         record, last = samples.records[place], _compared(part, place)
         # Nor do outputs count that no simulation knows the inputs of.
         cut = replace(last, record=replace(last.record, start=record.start))

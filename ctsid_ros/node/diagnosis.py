@@ -49,6 +49,8 @@ class IngestDiagnosis:
     ----------
     troubles : list of str
         What was wrong at the last look: a sentence on each fault.
+    causes : list of str
+        These, and the silences of commands, which may be behind a verdict that is not GOOD.
     """
 
     def __init__(self, config: Config, start_ns: int) -> None:
@@ -61,6 +63,11 @@ class IngestDiagnosis:
         self._recent = Recent(self._length)
         self._silences: dict[str, tuple[int, float]] = {}  # the last of each: when, how long
         self.troubles: list[str] = []
+        self.causes: list[str] = []
+        # Their commands may be sent when they change, or while a key is pressed.
+        self._held = {c.topic for c in config.channels if all(
+            other.hold == 'zoh' and other.role == 'input' for other in config.channels
+            if other.topic == c.topic)}
 
     def look(self, feed: Feed, now_ns: int, timeout: float, faults: Sequence[str],
              failure: str) -> Health:
@@ -79,16 +86,16 @@ class IngestDiagnosis:
         failure : str
             The last fault of the ingest itself, if any.
         """
-        silent: list[str] = []
+        silent: dict[str, str] = {}
         ended: dict[str, str] = {}
         values: dict[str, object] = {}
         for topic, state in feed.topics.items():
             age = (now_ns - (state.last_ns or self._start_ns)) * 1e-9
             if age > timeout:
-                silent.append(f'{topic} has been silent for {age:.1f} s; check its '
-                              'publisher' if state.messages
-                              else f'no message has come on {topic}; check its name, and that '
-                              'its publisher runs')
+                silent[topic] = (
+                    f'{topic} has been silent for {age:.1f} s; check its publisher'
+                    if state.messages else
+                    f'no message has come on {topic}; check its name, and that its publisher runs')
                 if state.messages:
                     self._silences[topic] = now_ns, age
             elif topic in self._silences and 0.0 <= (
@@ -104,19 +111,18 @@ class IngestDiagnosis:
         values |= {'window filled [%]': 100.0 * feed.filled, 'largest batch': feed.largest_batch,
                    **_sample_values(totals, recent, self._config)}
         own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
-        troubles = [*own, *faults, *silent]
-        # Commands may be sent when they change: that is told beside a verdict that is not GOOD.
-        held = [topic for topic in ended if all(
-            c.hold == 'zoh' and c.role == 'input' for c in self._config.channels
-            if c.topic == topic)]
-        troubles += [line for topic, line in ended.items() if topic not in held]
+        stale = len(silent) == len(feed.topics)
+        told = silent | ended
+        normal = [topic for topic in told
+                  if topic in self._held and feed.topics[topic].messages and not stale]
+        troubles = [*own, *faults, *(told[topic] for topic in told if topic not in normal)]
         # What never came is reported as silent already.
         troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')
                      if 'no message has come' not in line]
-        self.troubles = [*troubles, *(ended[topic] for topic in held)]
+        self.troubles, self.causes = troubles, [*troubles, *(told[topic] for topic in normal)]
         heard = any(state.messages for state in feed.topics.values())
         level = (Level.ERROR if failure else
-                 Level.STALE if len(silent) == len(feed.topics) else
+                 Level.STALE if stale else
                  Level.WARN if troubles else Level.OK if heard else Level.STALE)
         return Health(INGEST, level, '; '.join(troubles) or (
             'messages come in' if heard else 'no message has come yet'), values)

@@ -101,7 +101,7 @@ class Run:
         gone = 'no messages come in' if ingest.level is Level.STALE else \
             no_window(progress, timeout, filled)
         return [ingest, with_cause(diagnose_identification(progress), gone,
-                                   self.diagnosis.troubles)]
+                                   self.diagnosis.causes)]
 
     def identify(self) -> Answer:
         """Identify the last window of data now, out of turn."""

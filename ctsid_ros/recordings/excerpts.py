@@ -23,7 +23,7 @@ from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
 
 MOST_NUMBERS = 20_000_000  # that are kept: 160 MB
 _MOST_RATE, _MOST_TICKS = 100.0, 60_000  # of the common clock [Hz]; robots move below 20 Hz
-_LOST = 5.0  # intervals without a sample after which an output is not known
+_LOST = 5.0  # intervals without a sample after which an output is not known, and a driver may stop
 _LOST_S = 0.3  # s: but not before
 _SECOND, _SAMPLES = 1.0, 10.0  # s: a unit of time; more where samples are rare: plants are slower
 
@@ -140,12 +140,25 @@ def clock_for(rates: Sequence[float], parts: Sequence[tuple[float, float]]) -> C
     return Clock(np.concatenate(ticks), 1 / rate, tuple(starts.tolist()))
 
 
-def held(time: Array, values: Array, clock: Clock) -> Array:
-    """Return a signal that is held from sample to sample at the ticks; NaN before the first."""
+def held(time: Array, values: Array, clock: Clock, timeout: float = math.inf) -> Array:
+    """
+    Return a signal that is held from sample to sample at the ticks; NaN before the first.
+
+    After a `timeout` [s] without a sample within a stretch it is 0, until the next one.
+    """
     if not len(time):
         return np.full(len(clock.time), np.nan)
     at = np.searchsorted(time, clock.time + 1e-9, side='right') - 1
-    return np.where(at >= 0, values[np.maximum(at, 0)], np.nan)
+    last = np.maximum(at, 0)
+    begun = np.concatenate([np.full(p.stop - p.start, clock.time[p][0]) for p in clock.parts])
+    silent = clock.time - np.maximum(time[last], begun)
+    acts = np.where(silent < timeout, values[last], 0.0)
+    return np.where(at >= 0, acts, np.nan)
+
+
+def lost_after(time: Array) -> float:
+    """Return for how long no sample comes before one is missing [s]."""
+    return max(_LOST * float(np.median(np.diff(time))), _LOST_S) if len(time) > 1 else math.inf
 
 
 def averaged(time: Array, values: Array, clock: Clock) -> Array:
@@ -164,5 +177,5 @@ def averaged(time: Array, values: Array, clock: Clock) -> Array:
             result[part] = np.where(count > 0, mean / np.maximum(count, 1), result[part])
     after = np.clip(np.searchsorted(time, clock.time), 1, len(time) - 1)
     gap = time[after] - time[after - 1]
-    lost = (gap > max(_LOST * period, _LOST_S)) | (clock.time < time[0]) | (clock.time > time[-1])
+    lost = (gap > lost_after(time)) | (clock.time < time[0]) | (clock.time > time[-1])
     return np.where(lost, np.nan, result)

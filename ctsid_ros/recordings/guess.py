@@ -301,11 +301,12 @@ def _said(inputs: Sequence[Candidate], outputs: Sequence[Candidate]) -> str:
 
 def _further_outputs(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair],
                      inputs: Sequence[Candidate]) -> list[str]:
-    """Say how to get one model of all the outputs that an input moves, if they are several."""
-    outputs = [p.output for p in pairs if p.input is pair.input
+    """Say how to get one model of all the outputs that inputs move, if they are several."""
+    outputs = [p.output for p in pairs if p.input in inputs
                and p.output.acts <= p.output.measures and not _drives(p.output, compared)
                and p.explained.past >= _AS_WELL * pair.explained.past]
-    return [f'{words(pair.input)} moves {len(outputs)} outputs; one model of them all: '
+    who = f'{", ".join(map(words, inputs))} move{"s" * (len(inputs) == 1)}'
+    return [f'{who} {len(outputs)} outputs; one model of them all: '
             + _said(inputs, outputs)] if len(outputs) > 1 else []
 
 

@@ -20,7 +20,15 @@ from ctsid_core.signals.wrapped import wraps
 from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
 from ctsid_ros.decoding.message_types import FieldType, MessageType
 from ctsid_ros.recordings.bag import Bag
-from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, gather, held
+from ctsid_ros.recordings.excerpts import (
+    Clock,
+    Samples,
+    averaged,
+    clock_for,
+    gather,
+    held,
+    lost_after,
+)
 from ctsid_ros.recordings.survey import Survey, TopicSurvey
 from ctsid_ros.recordings.survey_stats import FieldStats
 
@@ -76,6 +84,8 @@ class Candidate:
         How likely name and type make it an input, an output: 0 to 1.
     held, smooth : ndarray
         Its values at the ticks of the common clock, held or averaged; NaN where not known.
+    stopped : ndarray
+        The held ones, 0 where no sample comes for long: so a driver's timeout lets them act.
     first, last : float
         Its first and last sample [s].
     rate : float
@@ -96,6 +106,7 @@ class Candidate:
     measures: float
     held: Array
     smooth: Array
+    stopped: Array
     first: float
     last: float
     rate: float
@@ -174,7 +185,7 @@ def candidates(bag: Bag, survey: Survey, named: Collection[Key] = ()
     wanted = {t.info.name: [f.field for f in t.fields if (t.info.name, f.field) in named]
               for t in survey.topics}
     usual = {t.info.name: [f.field for f in t.moving[:_MOST_OF_TOPIC]]
-             for t in survey.topics if t.info.count >= FEWEST}
+             for t in survey.topics if t.info.count >= _SWITCHES}
     topics = [t for t in survey.topics if wanted[t.info.name] or usual.get(t.info.name)]
     fields = {t.info.name: [parse_field(text) for text in dict.fromkeys(
         (*usual.get(t.info.name, ()), *wanted[t.info.name]))] for t in topics}
@@ -202,16 +213,19 @@ def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath],
     for i, path in enumerate(paths):
         good = np.abs(samples.values[:, i]) <= LARGEST
         time, values = samples.time[good], samples.values[good, i]
-        if not len(time) or (str(path) not in wanted and (
-                len(time) < FEWEST or no_signal(time, values, counts=i in whole))):
-            continue
         acts, measures = likely_roles(topic, str(path))
+        # A command is held between its messages: a dozen of them are as many steps.
+        few = len(time) < (_SWITCHES if acts > measures else FEWEST)
+        if not len(time) or (str(path) not in wanted and (
+                few or no_signal(time, values, counts=i in whole))):
+            continue
         turn, _ = wrapped = wraps(values)
         if turn:
             values = np.unwrap(values, period=turn)
         found.append(Candidate(
             topic, stats[str(path)], path, acts, measures, held(time, values, clock),
-            averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time),
+            averaged(time, values, clock), held(time, values, clock, lost_after(time)),
+            float(time[0]), float(time[-1]), _rate(time),
             bool(2 * np.count_nonzero(np.diff(values)) < len(values) - 1),
             '' if path.euler else types[i].unit, wrapped))
     return found

@@ -134,6 +134,7 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
         If the bag cannot be read on.
     """
     found, clock = candidates(bag, survey, {*named_inputs, *named_outputs})
+    found = _as_they_act(found, clock)
     spread = {c: effective_frequencies(c.held, clock) for c in found}
     lines = {c: effective_frequencies(c.smooth, clock) for c in found}
     inputs = [c for c in found if c.key in named_inputs] or sorted(
@@ -167,6 +168,23 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
     pairs = sorted(pairs, key=lambda p: -p.score)
     likely = [p for p in pairs if p.score >= _LIKELY]
     return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
+
+
+def _as_they_act(found: list[Candidate], clock: Clock) -> list[Candidate]:
+    """
+    Return commands that are 0 where they are silent, if so they explain more of another topic.
+
+    A driver stops a base when it hears no more, and a recording does not say so.
+    """
+    silent = [c for c in found if c.acts > c.measures
+              and not np.array_equal(c.held, c.stopped, equal_nan=True)]
+    comparison = Comparison(clock, [c.smooth for c in found] if silent else [])
+
+    def told(c: Candidate, values: Array) -> float:
+        others = [y.topic is not c.topic for y in found]
+        return float(np.max(comparison.screened(values)[others], initial=0.0))
+    return [replace(c, held=c.stopped) if c in silent and told(c, c.stopped) > told(c, c.held)
+            else c for c in found]
 
 
 def further_commands(inputs: Sequence[Candidate], y: Candidate,
@@ -333,7 +351,7 @@ def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
 def _score(u: Candidate, y: Candidate, found: Explained, lines: float) -> float:
     """Return the score of a pair whose spectra are both spread over so many lines."""
     first = float(np.clip(_TIE + 0.8 * (found.past - found.future), 0.2, 1.0))
-    samples = found.overlap * min(u.rate, y.rate)
+    samples = found.overlap * (y.rate if u.acts > u.measures else min(u.rate, y.rate))
     if samples < FEWEST:
         return 0.0  # so few samples are explained by anything
     past = 1.0 - (1.0 - found.past) * (samples - 1) / (samples - STEPS - 1)  # adjusted R^2

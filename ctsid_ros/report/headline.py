@@ -194,15 +194,22 @@ def _recorded(reason: str, run: Run) -> tuple[str, str]:
 
 
 def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
-    share = estimate.statistics.get('change_share', math.nan)
+    found = estimate.statistics
+    returns = 'drift_from' in found
+    if number := int(found.get('drift_record' if returns else 'change_record', 0)):
+        run = run.records[number - 1]
+    start, end = run.span
+    if returns:
+        begin, back = (start + found[key] * (end - start) for key in ('drift_from', 'drift_to'))
+        return ('the same without the time in which gains are others', run.command(
+            'identify', '--interval', f'{start:z.1f}:{begin:.1f}',
+            '--interval', f'{back:.1f}:{end:.1f}'))
+    share = found.get('change_share', math.nan)
     if not math.isfinite(share):
         return 'models of short windows, before and after', run.command('replay')
-    if number := int(estimate.statistics.get('change_record', 0)):
-        run = run.records[number - 1]
     if not share:
         return ('the plant of this record; leave it out of the others',
                 run.command('identify', *run.interval))
-    start, end = run.span
     at = start + share * (end - start)
     return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
         'identify', '--start', f'{start:z.1f}', '--duration', f'{at - start:.1f}'))

@@ -63,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='prediction horizons: so many samples of the output ahead '
                         '[default 1 10]')
     parser.add_argument('--trim', choices=('refit', 'model'), default='refit',
-                        help='offsets of the outputs: refit = fitted to this bag (another flight '
-                        'has another operating point), model = those of the model [default refit]')
+                        help='offsets of the outputs: refit = fitted to this bag (it may have '
+                        'another operating point), model = those of the model [default refit]')
     parser.add_argument('--rejected', action='store_true',
                         help='simulate a model that was rejected, too; the exit code is 3 then')
     add_report(parser)
@@ -322,8 +322,8 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
 def _trim(trim: str) -> str:
     if trim == 'refit':
         return ('The offsets of the outputs, in simulations and predictions, are fitted to this '
-                'bag, because another flight may have another operating point (--trim model keeps '
-                'those of the model). A fit of '
+                'bag, because it may have another operating point (--trim model keeps those of '
+                'the model). A fit of '
                 f'100 % is perfect, 0 % no better than a constant. {GLOSSARY}')
     return ('The offsets of the outputs are those of the model (--trim refit fits them to this '
             f'bag). A fit of 100 % is perfect, 0 % no better than a constant. {GLOSSARY}')

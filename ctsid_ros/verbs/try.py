@@ -86,7 +86,7 @@ def command(args: argparse.Namespace) -> int:
         code = _identify(line, args, out, guessed)
         if code == ACCEPTED:
             write(_spanning(guessed.config, load_estimate(out / MODEL), found.duration))
-    if not args.json and code != ACCEPTED:
+    if not args.json and (code != ACCEPTED or _has_next(guessed)):
         print(_otherwise(guessed, args))
     return code
 
@@ -114,9 +114,13 @@ def _spanning(config: Config, estimate: Estimate, duration: float) -> Config:
     return replace(config, settings=spanning(config.settings, delay, duration))
 
 
+def _has_next(guessed: Guess) -> bool:
+    return guessed.free and guessed.pick < len(guessed.pairs)
+
+
 def _otherwise(guessed: Guess, args: argparse.Namespace) -> str:
     """Return how to try with other signals, as a line."""
-    if guessed.free and guessed.pick < len(guessed.pairs):
+    if _has_next(guessed):
         words = ('ctsid', 'try', *bag_words(args), *signal_words(args),
                  '--pick', str(guessed.pick + 1))
         return f'The next pair of signals: {shlex.join(words)}'
