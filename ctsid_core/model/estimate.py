@@ -48,6 +48,7 @@ class Choice:
     name: str
     value: object
     why: str
+    deviation: float = float('nan')     # standard deviation of what acts of an input
 
 
 @dataclass(frozen=True)

@@ -91,8 +91,12 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     doubts = (_doubt(whole.input_names, j, first[k].timeout) for k, j in enumerate(u)
               if k in first and first[k].timeout and abs(first[k].timeout - acting[k].timeout) >
               APART * first[k].timeout)
-    return replace(best, doubt=next(doubts, best.doubt), rivals=(
-        *best.rivals, *_rivals(best, settings)))
+    beside, deviations = list(_beside(best, settings)), [Actuator()] * whole.nu
+    for j, kind, deviation, _ in beside:        # of a larger and of a smaller number
+        deviations[j] = deviations[j]._replace(
+            **{kind: getattr(deviations[j], kind) + 0.5 * deviation})
+    return replace(best, doubt=next(doubts, best.doubt), deviations=tuple(deviations), rivals=(
+        *best.rivals, *((0.5, model) for *_, model in beside)))
 
 
 def with_choices(solution: Solution, settings: Settings) -> Solution:
@@ -101,13 +105,15 @@ def with_choices(solution: Solution, settings: Settings) -> Solution:
     told = [Actuator(*(0.0 if known else value for known, value in zip(given, own, strict=True)))
             for given, own in zip(settings.actuators(whole.nu),
                                   solution.settings.actuators(whole.nu), strict=True)]
+    known = solution.deviations or (Actuator(),) * whole.nu
     return replace(
         solution,
-        notes=(*solution.notes, *in_words(whole.input_names, told, whole.input_units)),
+        notes=(*solution.notes, *in_words(whole.input_names, told, whole.input_units, known)),
         choices=(*solution.choices, *(
             Choice(kind, float(f'{value:.4g}'), f'of input {name}: what so acts of it explains '
-                   'more') for name, own in zip(whole.input_names, told, strict=True)
-            for kind, value in own._asdict().items() if value)))
+                   'more', off or float('nan'))
+            for name, own, deviations in zip(whole.input_names, told, known, strict=True)
+            for kind, value, off in zip(Actuator._fields, own, deviations, strict=True) if value)))
 
 
 def _doubt(names: Sequence[str], place: int, seconds: float) -> Doubt:
@@ -205,11 +211,13 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     return acting, _surely(own, given, _count(acting) - _count(known))
 
 
-def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, ModalModel]]:
+def _beside(solution: Solution,
+            settings: Settings) -> Iterator[tuple[int, str, float, ModalModel]]:
     """
-    Yield models with smaller and larger numbers, as far as they are not clearly less likely.
+    Yield inputs, kinds of what acts, deviations of the numbers, and the models a deviation away.
 
-    What a limit is, and the gain behind it, a command of two sizes does not tell apart.
+    For a smaller and a larger number each. What a limit is, and the gain behind it, a command of
+    two sizes does not tell apart.
     """
     nu = solution.part.parts[0].whole.nu
     actuators, u = solution.settings.actuators(nu), solution.part.parts[0].u
@@ -226,18 +234,21 @@ def _rivals(solution: Solution, settings: Settings) -> Iterator[tuple[float, Mod
     worth = float(own.independent.sum() / own.samples.counts.sum())
     start = own.fit.model.poles, own.fit.model.delay
     for channel, kind in told:
-        def beside(part: float, channel: int = channel, kind: str = kind) -> Fit | None:
-            value = (1.0 + part) * getattr(acting[channel], kind)
-            return commands.at(commands.acting(with_number(acting, [channel], kind, value)),
-                               start, own.fit)
+        value = getattr(acting[channel], kind)
+
+        def beside(part: float, channel: int = channel, kind: str = kind,
+                   value: float = value) -> Fit | None:
+            other = with_number(acting, [channel], kind, (1.0 + part) * value)
+            return None if (one := commands.reached(other, [start])) is None else one.fit
         for sign in (-1.0, 1.0):
             for step in _FARTHER:
                 one = beside(sign * step)
                 rise = np.inf if one is None else worth * (one.cost - own.fit.cost)
                 if rise >= 1.0:
                     break
-            if (one := beside(sign * step / max(rise, 1.0) ** 0.5)) is not None:
-                yield 0.5, one.model
+            part = step / max(rise, 1e-3) ** 0.5
+            if (one := beside(sign * min(part, step))) is not None:
+                yield u[channel], kind, part * value, one.model
 
 
 def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple[int, ...], str]]:

@@ -17,7 +17,7 @@ from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import MORE
 from ctsid_core.search.task import FASTEST, Task
 from ctsid_core.search.tried import SEARCH, Tried
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
 
 DISTURBED = 0.35        # error that is not white noise, over the motion: a simulation is nothing
                         # to act on, and of plants that predictions found nothing to judge by
@@ -77,6 +77,8 @@ class Solution:
     smaller: tuple[tuple[ModalModel, Free], ...] = ()
     # Others that might be right: share of the Akaike weights, plant
     rivals: tuple[tuple[float, ModalModel], ...] = ()
+    # Standard deviations of the numbers that act of all inputs, as far as they were found
+    deviations: tuple[Actuator, ...] = ()
     # Of a subspace method's regression; their drop shows the order
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')

@@ -22,11 +22,11 @@ from ctsid_core.signals.record import Record, Signal, channel_slices
 
 _APART = 1e-6           # [s] that a ramp ends from a message: nearer ones are one instant
 _WORDS = {
-    'timeout': 'counts as 0 from {:.3g} s after a message on, until the next one',
-    'dead_zone': 'moves nothing by the first {:.3g}{unit} from 0',
-    'limit': 'acts by at most {:.3g}{unit}',
-    'backlash': 'has a play of {:.3g}{unit}',
-    'rate_limit': 'acts as if it changed by at most {:.3g}{unit}/s'}
+    'timeout': 'counts as 0 from {} s after a message on, until the next one',
+    'dead_zone': 'moves nothing by the first {}{unit} from 0',
+    'limit': 'acts by at most {}{unit}',
+    'backlash': 'has a play of {}{unit}',
+    'rate_limit': 'acts as if it changed by at most {}{unit}/s'}
 
 
 def acting(inputs: Sequence[Signal], actuators: Sequence[Actuator]) -> tuple[Signal, ...]:
@@ -111,14 +111,15 @@ def stopped(signal: Signal, timeout: float, rest: Array | float = 0.0) -> Signal
                    values=np.insert(signal.values, at + 1, rest, axis=0))
 
 
-def in_words(names: Sequence[str], actuators: Sequence[Actuator],
-             units: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return a sentence on what acts of each input that is not all of it."""
-    units = units or ('',) * len(names)
+def in_words(names: Sequence[str], actuators: Sequence[Actuator], units: Sequence[str] = (),
+             deviations: Sequence[Actuator] = ()) -> tuple[str, ...]:
+    """Return a sentence on what acts of each input that is not all of it; with deviations."""
+    units, deviations = units or ('',) * len(names), deviations or (Actuator(),) * len(names)
     return tuple(
-        f'input {name} {_WORDS[kind].format(value, unit=unit and " " + unit)}'
-        for name, own, unit in zip(names, actuators, units, strict=True)
-        for kind, value in own._asdict().items() if value)
+        f'input {name} ' + _WORDS[kind].format(
+            f'{value:.3g}' + (f' ± {off:.1g}' if off else ''), unit=unit and ' ' + unit)
+        for name, own, unit, known in zip(names, actuators, units, deviations, strict=True)
+        for kind, value, off in zip(Actuator._fields, own, known, strict=True) if value)
 
 
 def by_kind(actuators: Sequence[Actuator]) -> dict[str, tuple[float, ...]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance
-from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.gains import gains, grows
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests
@@ -101,11 +101,16 @@ def complaint_section(notes: Sequence[str]) -> Section:
 
 def choice_section(estimate: Estimate, *, brief: bool = False) -> Section:
     """Return what was chosen from the data, and why."""
-    lines = tuple(f'`{c.name}` = {_value(c.value)}: {c.why}' for c in estimate.choices)
+    lines = tuple(f'`{c.name}` = {_value(c.value)}{_deviation(c)}: {c.why}'
+                  for c in estimate.choices)
     domain = next((c.value for c in estimate.choices if c.name == 'domain'), '')
     words = (_predicted(estimate),) if domain == 'predictions' else \
         (_DISTURBED,) if domain == 'disturbed' else ()
     return Section('Chosen from the data', (Bullets(lines), *words) if lines else (), brief=brief)
+
+
+def _deviation(choice: Choice) -> str:
+    return f' ± {number(choice.deviation, 2)}' if math.isfinite(choice.deviation) else ''
 
 
 def _predicted(estimate: Estimate) -> str:
