@@ -349,6 +349,37 @@ def test_what_drifts_or_saturates_does_not_come_back(gain, how, seed):
     assert not any('come back' in text for text in (found.verdict.reason, *found.notes))
 
 
+def pushed(seed: int, size: float, gain=still) -> Record:
+    """Return 16 s of a lag under random steps; somebody leans on it for a second, twice."""
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(800)
+    u = np.repeat(rng.standard_normal(20), 50)[:len(t)]
+    acts = u * np.vectorize(gain)(t)
+    for start in rng.uniform(1.0, 14.0, 2):
+        acts += size * rng.choice([-1.0, 1.0]) * ((t > start) & (t < start + 1.0))
+    y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, acts[:, np.newaxis], t)
+    return Record.from_arrays(t, u[:, np.newaxis], t, noisy(rng, y, 34), input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seed', 'size'), [
+    (0, 0.15), (13, 0.3), *slow((0, 0.3), (0, 0.5), (3, 0.2), (7, 0.15), (13, 0.5))])
+def test_who_leans_on_a_robot_does_not_change_it(seed, size):
+    """Two models, or a gain that jumps, explain it nearly as well."""
+    found = identify(pushed(seed, size))
+    texts = found.verdict.reason, *found.notes
+    assert found.status is Status.OK
+    assert not any('changed' in text or 'come back' in text for text in texts)
+    assert found.model.dc_gain[0, 0] == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.mark.parametrize('seed', [0, *slow(*range(1, 6))])
+@pytest.mark.parametrize(('gain', 'words'), [
+    (lambda t: 0.6 if t > 7.0 else 1.0, 'The plant changed'),
+    (lambda t: 0.6 if 5.0 < t < 11.0 else 1.0, 'Gains change ')])
+def test_pushes_hide_no_change(gain, words, seed):
+    found = identify(pushed(seed, 0.1, gain))
+    assert found.verdict.reason.startswith(words)
+
+
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
     ('rates-1x1', 70, 0), ('second-input', 41, 8), *slow(('rates-1x1', 41, 0))])
 def test_what_disturbs_is_no_gain_that_comes_back(family, seed, number):

@@ -9,10 +9,11 @@ both, so that disturbances are no change of the plant. Two models are always a l
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
 leaves, noise apart, has to be gone, as far as the noise lets see. And they have to be the best
-explanation: of a plant that drifts, or is not linear, a drift or curves explain as much. Of
-several records each may be of another plant as a whole: then it has a model of its own. Of a
-model that was found by its predictions these tell, for their errors are white where gusts stay
-in those of simulations; how much it matters is what the plant, simulated, misses beside two.
+explanation: of a plant that drifts, or is not linear, a drift or curves explain as much, and of
+one that is pushed a load that comes and goes. Of several records each may be of another plant as a
+whole: then it has a model of its own. Of a model that was found by its predictions these tell, for
+their errors are white where gusts stay in those of simulations; how much it matters is what the
+plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.judge.curve import curves_of
+from ctsid_core.judge.jumps import under_loads
 from ctsid_core.judge.slopes import SEARCHED, Own, in_records, only, recordings, slopes_of
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -203,7 +205,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
 
 def _best(samples: Samples, own: Own, change: Change) -> bool:
     """
-    Return whether a division explains more than a drift, and than curves.
+    Return whether a division explains more than a drift, curves, and loads that come and go.
 
     All to first order, from the same model, less what their numbers gain by chance. A record of
     another plant is compared with curves of all records.
@@ -221,8 +223,10 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
         return slopes.beside(np.hstack((common, more))).cost
     divided = cost(rest * after)
     curves = curves_of(samples, slopes.fit)
+    jumps = (_numbers(samples, own) + 1) // 2            # each has a size and an instant
     return divided < np.inf and divided <= slopes.beside(common, curves).cost and (
-        not change.share or divided <= cost(slopes.drift))
+        not change.share or divided <= min(cost(slopes.drift),
+                                           under_loads(slopes, jumps, common).cost))
 
 
 def _side(samples: Samples, start: float, end: float) -> Samples:

@@ -91,10 +91,18 @@ class Slopes:
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 
-    def without(self, more: Array) -> tuple[Array, Array]:
-        """Return further columns, and the errors, without what the columns explain of them."""
+    def without(self, more: Array, common: Array | None = None) -> tuple[Array, Array]:
+        """
+        Return further columns, and the errors, without what the columns explain of them.
+
+        The `common` ones explain, too.
+        """
         basis, error = self._without
-        return more - basis @ (basis.T @ more), error
+        more = more - basis @ (basis.T @ more)
+        if common is None:
+            return more, error
+        further = basis_of(common, basis)
+        return more - further @ (further.T @ more), error - further @ (further.T @ error)
 
 
 def recordings(samples: Samples) -> list[int]:
