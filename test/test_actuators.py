@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import re
 
 from marks import slow
 import numpy as np
@@ -90,7 +91,8 @@ def test_what_lies_before_a_plant_is_found_and_the_plant_behind_it_is_right(kind
         np.sort_complex(np.linalg.eigvals(PLANT.A)), rel=0.05)
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, abs=0.03)
     assert any(c.name == kind for c in found.choices)
-    assert any(note in found.notes for note in in_words(found.model.input_names, (own,)))
+    told, = in_words(found.model.input_names, (own,))
+    assert any(re.sub(r' ± [-\de.]+', '', note) == told for note in found.notes)
     # Motions of other sizes, which linear models of this record do not tell
     other = driven(seed + 50, kind, EACH[kind], size=2.0, noise=None)
     linear = identify(driven(seed, kind, EACH[kind]), LINEAR)
@@ -239,6 +241,21 @@ def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
     given = robots.experiment(family, seed, number)
     found = identify(given.record)
     assert not any((found.model or found.rejected_model).actuators[0])
+
+
+@pytest.mark.parametrize(('kind', 'seeds'), [
+    *(('limit', range(20, 23)), ('backlash', range(20, 23))), *slow(
+        *((kind, range(20, 32)) for kind in EACH))])
+def test_what_acts_is_as_sure_as_it_is_said_to_be(kind, seeds):
+    errors = []
+    for seed in seeds:
+        found = identify(driven(seed, kind, EACH[kind], noise=20.0))
+        told, = (c for c in found.choices if c.name == kind)
+        assert 0.001 < told.deviation / EACH[kind] < 0.02
+        assert any(f' ± {told.deviation:.1g}' in note for note in found.notes)
+        errors.append((told.value - EACH[kind]) / told.deviation)
+    print(np.round(errors, 1))
+    assert np.sqrt(np.mean(np.square(errors))) < 1.8
 
 
 @pytest.mark.parametrize(('family', 'number', 'kind', 'value'), [

@@ -209,7 +209,7 @@ def test_a_gain_that_grows_by_half_is_seen_wherever_it_does(share):
 @pytest.mark.parametrize(('gain', 'status', 'grade', 'words'), [
     (8.0, Status.CHANGED, Grade.REJECT, 'The plant changed about 14.'),
     (4.0, Status.OK, Grade.GOOD, 'Every test is passed'), *slow(
-        (5.0, Status.OK, Grade.WEAK, 'Predictions tell that the plant changed about '))])
+        (5.0, Status.OK, Grade.WEAK, 'It seems that the plant changed about '))])
 def test_a_change_under_a_controller_is_never_good(gain, status, grade, words):
     """In gusts of 2 % of the motion; where simulations cannot tell it, predictions may."""
     rng, step, n = np.random.default_rng(1), 0.02, 2000
@@ -363,11 +363,12 @@ def pushed(seed: int, size: float, gain=still) -> Record:
 @pytest.mark.parametrize(('seed', 'size'), [
     (0, 0.15), (13, 0.3), *slow((0, 0.3), (0, 0.5), (3, 0.2), (7, 0.15), (13, 0.5))])
 def test_who_leans_on_a_robot_does_not_change_it(seed, size):
-    """Two models, or a gain that jumps, explain it nearly as well."""
+    """Two models, or a gain that jumps, explain it nearly as well: that it may be one is said."""
     found = identify(pushed(seed, size))
-    texts = found.verdict.reason, *found.notes
     assert found.status is Status.OK
-    assert not any('changed' in text or 'come back' in text for text in texts)
+    for text in (found.verdict.reason, *found.notes):
+        assert 'come back' not in text
+        assert 'changed' not in text or 'a push)' in text
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, rel=0.15)
 
 

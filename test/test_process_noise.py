@@ -457,7 +457,7 @@ def test_what_disturbs_a_record_is_no_change_of_the_plant(family, number, calm):
     """
     Each record has a predictor of its own, and one in calm air is simulated.
 
-    "Predictions tell that the plant changed" was said of the first three; the gusty ones were
+    "The plant changed" was said of the first three; the gusty ones were
     compared by predictions of the gusty record alone, and called changed or not linear.
     """
     given = experiment(family, 2 if number == 2 else 1, number)

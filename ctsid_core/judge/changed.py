@@ -75,6 +75,7 @@ class Change:
     left: float = 1.0          # power of the errors of two over that of one, white noise apart
     one: tuple[float, float] = (float('nan'), float('nan'))     # fit, before and after [%]
     two: tuple[float, float] = (float('nan'), float('nan'))     # the same of two models [%]
+    pushed: bool = False       # whether a load that comes and goes explains as much
 
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
@@ -115,16 +116,18 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
             start = fit_at(one, fit.model.poles, fit.model.delay, free)
             whole = climb_roughly(one, start, free, steps=_STEPS).model, free
     found = _divisions(one, whole, whole, 0)
-    if found.gain <= 0.0 or not _best(one, whole, found):
+    best = _best(one, whole, found) if found.gain > 0.0 else Change()
+    if not best.gain > 0.0:
         return Change()
     size = _divided(samples, plant, plant, place, found.share, certain=True)
-    return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
+    return Change(place, found.share, gain=found.gain) if best.pushed or size.left >= _LEFT \
+        else size
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:
     """Return a division if it leaves hardly more than noise, and explains most; else none."""
-    explained = found.cost > 0.0 and found.left < _LEFT and _best(samples, own, found)
-    return found if explained else Change()
+    explained = found.cost > 0.0 and found.left < _LEFT
+    return _best(samples, own, found) if explained else Change()
 
 
 def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
@@ -197,18 +200,19 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
         gain = samples.ny * count * np.log(own_states / all_of_it)
         promise += np.where(count >= fewest, gain, 0.0)
-    price = _numbers(samples, own) * float(np.log(np.max(counts)))
+    price = numbers_of(samples, own) * float(np.log(np.max(counts)))
     likely = np.flatnonzero((promise > price) & (left < _FURTHER * most) & (early >= fewest)
                             & (len(span) - early >= fewest))
     return [_INSTANTS[k] for k in likely[np.argsort(left[likely], kind='stable')][:_LIKELY]]
 
 
-def _best(samples: Samples, own: Own, change: Change) -> bool:
+def _best(samples: Samples, own: Own, change: Change) -> Change:
     """
-    Return whether a division explains more than a drift, curves, and loads that come and go.
+    Return a division if it explains more than a drift, curves, and loads that come and go.
 
-    All to first order, from the same model, less what their numbers gain by chance. A record of
-    another plant is compared with curves of all records.
+    All to first order, from the same model, less what their numbers gain by chance; else none.
+    Where a load explains as much it may be `pushed`. A record of another plant is compared with
+    curves of all records.
     """
     samples = (only(samples, change.record) if change.share else samples).thinned(SEARCHED)
     slopes = slopes_of(samples, own)
@@ -222,11 +226,13 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
     def cost(more: Array) -> float:
         return slopes.beside(np.hstack((common, more))).cost
     divided = cost(rest * after)
-    curves = curves_of(samples, slopes.fit)
-    jumps = (_numbers(samples, own) + 1) // 2            # each has a size and an instant
-    return divided < np.inf and divided <= slopes.beside(common, curves).cost and (
-        not change.share or divided <= min(cost(slopes.drift),
-                                           under_loads(slopes, jumps, common).cost))
+    curved = slopes.beside(common, curves_of(samples, slopes.fit)).cost
+    if not divided < np.inf or divided > curved or change.share and divided > cost(slopes.drift):
+        return Change()
+    jumps = (numbers_of(samples, own) + 1) // 2          # each has a size and an instant
+    if change.share and divided > under_loads(slopes, jumps, common).cost:
+        return replace(change, pushed=True)
+    return change
 
 
 def _side(samples: Samples, start: float, end: float) -> Samples:
@@ -236,7 +242,7 @@ def _side(samples: Samples, start: float, end: float) -> Samples:
         len(s.times) for s in r.streams))).thinned(SEARCHED // 2)
 
 
-def _numbers(samples: Samples, own: Own) -> int:
+def numbers_of(samples: Samples, own: Own) -> int:
     """Return how many numbers another model of a side costs, its instant among them."""
     model, free = own
     return (model.n * (samples.nu + samples.ny) + samples.nu * samples.ny * free.feedthrough
@@ -282,7 +288,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
                             for both in (one, two, larger))
     power, rest, of_one, of_two = parts @ rival, parts @ after, sum(one, ()), sum(two, ())
     n_eff = independent(of_two)
-    count, of_whole = (_numbers(samples, m) for m in (own, whole))
+    count, of_whole = (numbers_of(samples, m) for m in (own, whole))
     fitted = (len(sides) * count + len(of_two) * (model.n + samples.ny)) / samples.ny
     # Numbers that two models are fitted with are no evidence for them; against them all is.
     telling = np.where(rest < power, np.maximum(n_eff - fitted, 0.0), n_eff)
@@ -300,6 +306,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - fitted / len(sides), 1.0)
     missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))
-    return Change(place, share, float(np.max(missed)), gain, left, *(
+    own_fit, two_fits = (
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
-         100.0 * (1.0 - float(np.sqrt(np.max(side[-1]))))) for side in (before, after)))
+         100.0 * (1.0 - float(np.sqrt(np.max(side[-1]))))) for side in (before, after))
+    return Change(place, share, float(np.max(missed)), gain, left, own_fit, two_fits)

@@ -10,7 +10,7 @@ import numpy as np
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.judge.changed import NOTED, Change, most_likely_change
+from ctsid_core.judge.changed import NOTED, Change, most_likely_change, numbers_of
 from ctsid_core.judge.curve import curve_gains, curves_of
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
@@ -37,6 +37,8 @@ from ctsid_core.likelihood.residuals import (
     by_output,
     coloured_power,
     driven,
+    independent,
+    mean_square,
     motion_ahead,
     residuals,
     white_part,
@@ -56,8 +58,6 @@ from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
-
-_CLEARLY = 1.1         # times the power that two models leave, what one of what acts may leave
 
 
 def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
@@ -138,24 +138,31 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
 
 def others_explain_more(solution: Solution, acted: Solution) -> bool:
     """
-    Return whether two models of what was sent, or curves, explain clearly more than what acts.
+    Return whether two models of what was sent, or curves, are likelier than one of what acts.
 
-    A plant that changes looks like what acts of steps of two sizes; drag, or a sensor that is
-    clipped, like a limit.
+    By the independent samples of its errors, numbers paid. A plant that changes looks like what
+    acts of steps of two sizes; drag, or a sensor that is clipped, like a limit.
     """
     if solution.simulated is None or acted.simulated is None:
         return False
     samples, fit, free = solution.simulated
-    change = most_likely_change(samples, fit, free, solution.smaller, solution.telling)
-    before, after = ((1.0 - 0.01 * fit) ** 2 for fit in change.two)
-    two = change.share * before + (1.0 - change.share) * after
-    power = acted.simulated[0].mean(acted.simulated[1].power)
-    if change.cost > NOTED and change.share > 0.0 and _CLEARLY * two < float(np.max(power)):
-        return True
-    slopes = slopes_of(samples.thinned(SEARCHED), (fit.model, free))
+    seen, one, _ = acted.simulated
+    own, errors = (fit.model, free), residuals(seen.thinned(SEARCHED), one)
+    most = int(np.argmax(mean_square(errors)))
+    missed, n_eff = float(mean_square(errors)[most]), max(float(independent(errors)[most]), 2.0)
+    slopes = slopes_of(samples.thinned(SEARCHED), own)
     curved = slopes.beside(slopes.rows[:, :0], curves_of(slopes.samples, slopes.fit))
-    return bool(np.any(_CLEARLY * slopes.samples.mean(
-        curved.power.reshape(-1, samples.ny) * slopes.fit.power) < power))
+    found = [(slopes.samples.mean(curved.power.reshape(-1, samples.ny) * slopes.fit.power)[most],
+              curved.numbers - slopes.rows.shape[1])]
+    change = most_likely_change(samples, fit, free, solution.smaller, solution.telling)
+    if change.cost > NOTED and change.share > 0.0:
+        before, after = ((1.0 - 0.01 * side) ** 2 for side in change.two)
+        found.append((change.share * before + (1.0 - change.share) * after,
+                      numbers_of(samples, own) + fit.model.n + samples.ny))
+    fewer = numbers_of(samples, own) - numbers_of(seen, (one.model, free)) - sum(
+        map(bool, np.ravel(acted.settings.actuators(samples.nu))))
+    return any(n_eff * np.log(missed / max(power, 1e-300)) > np.log(n_eff) * (more + fewer)
+               for power, more in found)
 
 
 def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:

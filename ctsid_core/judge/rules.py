@@ -93,7 +93,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             f'Output {e.output_names[one.output]} keeps exactly the same value '
             f'{after_start(one.start, one.end)}, although inputs move: the sensor is stuck, or '
             'its last value is repeated; take a part of the data in which it moves.')
-    if e.change.cost > _CHANGED:
+    if e.change.cost > _CHANGED and not e.change.pushed:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
     for i in _largest_first(e.numbers.coloured_error, _UNEXPLAINED):
         idle = _idle(e, i)
@@ -164,7 +164,7 @@ def _drift(e: Evidence) -> str:
 def change_note(e: Evidence, reason: str) -> tuple[str, ...]:
     """Return sentences on a small change of the plant and a drift, if not the reason is one."""
     notes = []
-    if e.change.cost > NOTED:
+    if e.change.cost > NOTED and not e.change.pushed:
         notes.append(f'perhaps the plant changed a little {e.where}: there one model misses '
                      f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} '
                      'is accepted)')
@@ -226,11 +226,11 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             'plant is not among the inputs; take what the sensor sent.')
     if e.drift.jumps and e.drift.moved > _CHANGED:
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
-    if e.change.gain > 0.0 == e.change.cost:
+    if e.change.gain > 0.0 == e.change.cost or e.change.pushed and e.change.cost > _CHANGED:
         yield Remedy.SPLIT, (
-            f'Predictions tell that the plant changed {e.where}, or for a while what moves it (a '
-            'command that was lost, a push), and simulations do not show by how much; identify '
-            'each side by itself.')
+            f'It seems that the plant changed {e.where}, or for a while what moves it (a command '
+            'that was lost, a push); simulations do not show which of them, or by how much: '
+            'identify each side by itself.')
     if e.drift.moved > _DRIFTED:
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:

@@ -36,7 +36,7 @@ _SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 1
 _LEFT = 0.06          # error that is not noise, over the motion, that what acts may leave: what
                       # bends at outputs, as a sensor that is clipped, leaves more
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
-_CLOSELY = 0.003      # it is looked for no more closely
+_CLOSELY = 0.001      # it is looked for no more closely
 _STARTS = 2           # pairs of poles that it is looked for with, too
 _SOONER = 0.5         # times the dead time: of what is sent it may stand for what drags
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
@@ -186,8 +186,8 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     starts = [*((one.poles, one.delay) for one in (fit.model, *smaller)),
               *_starts(commands.samples, free, fit.model.delay)]
     screen = replace(commands, samples=commands.samples.thinned(_SCREENED))
-    own = given = commands.reached(acting, starts[:1])
-    known = acting
+    known, begun = acting, starts[0]
+    own = commands.reached(acting, [begun])
     while own is not None:
         # With a timeout that is new the model is another one: what else there is, that tells.
         stops = [one for one in sought if one[1] == 'timeout']
@@ -204,9 +204,16 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
                 < _SURELY * (1 + sum(map(bool, acting[channels[0]]))):
             break
         own, acting = _nearer(commands, *best, _PASSES * _set(new, best[1]))
-    if own is not None:
-        own, acting = _nearer(commands, own, acting, _PASSES * _set(sought, acting))
-    if own is None or given is None or _gain(own, given, 0) < _CHANCE:
+    numbers = _PASSES * _set(sought, acting)
+    if own is None or not numbers:
+        return known, False
+    whole = commands_of(samples, sent, free)        # they are as sure as all samples tell
+    own = whole.reached(acting, [(own.fit.model.poles, own.fit.model.delay)])
+    given = whole.reached(known, [begun])
+    if own is None or given is None:
+        return known, False
+    own, acting = _nearer(whole, own, acting, numbers)
+    if _gain(own, given, 0) < _CHANCE:
         return known, False
     return acting, _surely(own, given, _count(acting) - _count(known))
 
@@ -227,7 +234,7 @@ def _beside(solution: Solution,
     if not told or solution.simulated is None:
         return
     samples, fit, free = solution.simulated
-    commands = commands_of(samples.thinned(SEARCHED, scattered=True), solution.part, free)
+    commands = commands_of(samples, solution.part, free)
     own = commands.reached(acting, [(fit.model.poles, fit.model.delay)])
     if own is None:
         return
