@@ -12,7 +12,8 @@ import numpy as np
 from ctsid_core.bases.preparation import as_measured, computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
-from ctsid_core.judge.conclusion import conclude, others_explain_more
+from ctsid_core.judge.acting import explained_best
+from ctsid_core.judge.conclusion import conclude
 from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.feedback import in_loop
 from ctsid_core.judge.rules import unusable_estimate
@@ -153,8 +154,7 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         acted = of_actuators(
             solution, part if isinstance(sent, Unusable) else sent, settings, again,
             loop=not settings.feedthrough and in_loop([p.record for p in part.parts]))
-        if acted.part is solution.part or not others_explain_more(solution, acted):
-            solution = acted
+        solution = acted if acted.part is solution.part else explained_best(solution, acted)
         solution = with_choices(of_lost_inputs(solution, settings, again), settings)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,

@@ -15,6 +15,7 @@ from ctsid_core.identify import identify
 from ctsid_core.judge.feedback import in_loop
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
+from ctsid_core.model.verdict import Grade, Remedy
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import acting, as_acting, in_words, settled
@@ -272,6 +273,20 @@ def test_kinds_are_compared_at_the_number_that_is_likeliest(family, number, kind
     assert [name for name, one in told.items() if one] == [kind]
     assert told[kind] == pytest.approx(value, rel=0.03)
     assert trials.simulated(found.model, given.test)[0] > 98.0
+
+
+def test_what_a_drift_explains_as_well_is_a_doubt():
+    """Doublets of two sizes, the larger ones later: a limit, or a gain that falls by 61 %."""
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    record = robots.experiment('saturation-60', 303, 3).record
+    found = identify(record)
+    assert found.verdict.grade is Grade.WEAK
+    assert found.verdict.remedy is Remedy.SETTING
+    assert re.fullmatch(
+        r'It may be that input u1 acts by at most 0\.8[67]\d?, or that the plant changes or '
+        r'drifts: both explain as much; set `u1\.limit: 0\.8[67]\d?`\.', found.verdict.reason)
+    assert not any(found.model.actuators[0])
+    assert 'drifts' not in identify(record, Settings(limit=0.861)).verdict.reason
 
 
 def test_windows_that_do_not_reach_a_limit_keep_that_of_those_before():

@@ -10,8 +10,8 @@ import numpy as np
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.judge.changed import NOTED, Change, most_likely_change, numbers_of
-from ctsid_core.judge.curve import curve_gains, curves_of
+from ctsid_core.judge.changed import NOTED, Change, most_likely_change
+from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
@@ -27,7 +27,6 @@ from ctsid_core.judge.rules import (
     pole_uncertainty,
     tested,
 )
-from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.judge.unmoved import unmoved_notes
 from ctsid_core.judge.varying import varying_gains
@@ -37,8 +36,6 @@ from ctsid_core.likelihood.residuals import (
     by_output,
     coloured_power,
     driven,
-    independent,
-    mean_square,
     motion_ahead,
     residuals,
     white_part,
@@ -134,35 +131,6 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
                     'drift_cost': drift.cost, **_others(part, drift)},
         records=_shares(solution) if part.several else ())
-
-
-def others_explain_more(solution: Solution, acted: Solution) -> bool:
-    """
-    Return whether two models of what was sent, or curves, are likelier than one of what acts.
-
-    By the independent samples of its errors, numbers paid. A plant that changes looks like what
-    acts of steps of two sizes; drag, or a sensor that is clipped, like a limit.
-    """
-    if solution.simulated is None or acted.simulated is None:
-        return False
-    samples, fit, free = solution.simulated
-    seen, one, _ = acted.simulated
-    own, errors = (fit.model, free), residuals(seen.thinned(SEARCHED), one)
-    most = int(np.argmax(mean_square(errors)))
-    missed, n_eff = float(mean_square(errors)[most]), max(float(independent(errors)[most]), 2.0)
-    slopes = slopes_of(samples.thinned(SEARCHED), own)
-    curved = slopes.beside(slopes.rows[:, :0], curves_of(slopes.samples, slopes.fit))
-    found = [(slopes.samples.mean(curved.power.reshape(-1, samples.ny) * slopes.fit.power)[most],
-              curved.numbers - slopes.rows.shape[1])]
-    change = most_likely_change(samples, fit, free, solution.smaller, solution.telling)
-    if change.cost > NOTED and change.share > 0.0:
-        before, after = ((1.0 - 0.01 * side) ** 2 for side in change.two)
-        found.append((change.share * before + (1.0 - change.share) * after,
-                      numbers_of(samples, own) + fit.model.n + samples.ny))
-    fewer = numbers_of(samples, own) - numbers_of(seen, (one.model, free)) - sum(
-        map(bool, np.ravel(acted.settings.actuators(samples.nu))))
-    return any(n_eff * np.log(missed / max(power, 1e-300)) > np.log(n_eff) * (more + fewer)
-               for power, more in found)
 
 
 def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:

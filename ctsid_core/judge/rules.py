@@ -24,8 +24,8 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Excitation, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
-from ctsid_core.search.solution import ANY_DELAY, DIRECT, DISTURBED, GIVEN, OTHER_HOLD, TIMEOUT
-from ctsid_core.settings import Settings
+from ctsid_core.search.solution import ANY_DELAY, DIRECT, DISTURBED, GIVEN, OTHER_HOLD
+from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.gaps import FEWEST, silent_between
 from ctsid_core.signals.instants import after_start
 from ctsid_core.signals.record import Record, channel_slices
@@ -240,7 +240,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     if e.doubt and e.doubt[1] == 'delay':
         yield Remedy.SETTING, (
             f'{_begun(e.doubt[0])}: it is a bound; set `delay`, or take a longer window.')
-    if e.doubt and TIMEOUT in e.doubt[1]:       # before curves, which it makes, too
+    if e.doubt and any(f'.{kind}: ' in e.doubt[1] for kind in Actuator._fields):
+        # Before curves, which it makes, too
         yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{e.doubt[1]}`.'
     # Before all that would advise to move more: what saturates has to move less.
     for i in _largest_first(e.numbers.curve_gain, _CURVED):

@@ -32,7 +32,7 @@ from ctsid_core.signals.actuators import in_words
 from ctsid_core.signals.record import channel_slices
 
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
-_SURELY = 10.0        # -2 log likelihood by which what acts must be likelier: 150 to 1
+SURELY = 10.0         # -2 log likelihood by which what acts must be likelier: 150 to 1
 _LEFT = 0.06          # error that is not noise, over the motion, that what acts may leave: what
                       # bends at outputs, as a sensor that is clipped, leaves more
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
@@ -138,17 +138,13 @@ def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) ->
     if not numbers:
         return _gain(own, tried(*other.simulated), 0) > 0.0
     rival = tried(*other.simulated)
-    if other.drifts is not None:        # it has to explain more than that, whatever numbers cost
-        drift = replace(other.drifts, parameters=own.parameters)
-        if own.unexplained > 0.5 * drift.unexplained or _gain(own, drift, 0) < _SURELY:
-            return False
     return _surely(own, rival, numbers) if bends else \
-        _gain(own, rival, numbers, doubted=True) > 2.0 * _SURELY
+        _gain(own, rival, numbers, doubted=True) > 2.0 * SURELY
 
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
     """Return whether a model of what acts is surely likelier, and leaves little."""
-    return one.unexplained < _LEFT and _gain(one, other, numbers) > _SURELY
+    return one.unexplained < _LEFT and _gain(one, other, numbers) > SURELY
 
 
 def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> float:
@@ -201,7 +197,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         new = [one for one in sought if one not in _set(sought, acting)]
         (channels, kind), = _set(new, best[1])
         if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1, kind == 'timeout') \
-                < _SURELY * (1 + sum(map(bool, acting[channels[0]]))):
+                < SURELY * (1 + sum(map(bool, acting[channels[0]]))):
             break
         own, acting = _nearer(commands, *best, _PASSES * _set(new, best[1]))
     numbers = _PASSES * _set(sought, acting)
