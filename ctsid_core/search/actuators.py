@@ -33,8 +33,8 @@ from ctsid_core.signals.record import channel_slices
 
 APART = 0.1           # of a timeout: nearer to what is given is no doubt
 SURELY = 10.0         # -2 log likelihood by which what acts must be likelier: 150 to 1
-_LEFT = 0.06          # error that is not noise, over the motion, that what acts may leave: what
-                      # bends at outputs, as a sensor that is clipped, leaves more
+_MOST = 0.7           # times the error that is not noise, that what acts may leave, ...
+_LEFT = 0.06          # ... and of the motion: a sensor that is clipped leaves more
 _NEAR = 1.8           # times one of these, at most, is what is nearest to it
 _CLOSELY = 0.001      # it is looked for no more closely
 _STARTS = 2           # pairs of poles that it is looked for with, too
@@ -143,8 +143,10 @@ def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) ->
 
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
-    """Return whether a model of what acts is surely likelier, and leaves little."""
-    return one.unexplained < _LEFT and _gain(one, other, numbers) > SURELY
+    """Return whether a model of what acts is surely likelier, and leaves little, or is smaller."""
+    fewer = one.fit.model.n < other.fit.model.n
+    return one.unexplained < _LEFT and _gain(one, other, numbers) > SURELY and (
+        fewer or one.unexplained < _MOST * other.unexplained)
 
 
 def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> float:
@@ -247,7 +249,7 @@ def _beside(solution: Solution,
             for step in _FARTHER:
                 one = beside(sign * step)
                 rise = np.inf if one is None else worth * (one.cost - own.fit.cost)
-                if rise >= 1.0:
+                if rise >= 4.0:         # two deviations away: nearer it may rise and fall again
                     break
             part = step / max(rise, 1e-3) ** 0.5
             if (one := beside(sign * min(part, step))) is not None:
