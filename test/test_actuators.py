@@ -259,6 +259,37 @@ def test_what_acts_is_as_sure_as_it_is_said_to_be(kind, seeds):
     assert np.sqrt(np.mean(np.square(errors))) < 1.8
 
 
+@pytest.mark.parametrize('place', [0, 1])
+def test_an_input_that_rests_has_no_say_in_what_acts_of_another(place):
+    given = driven(20, 'limit', 0.7)
+    sent, measured = given.inputs[0], given.outputs[0]
+    u = np.insert(sent.values, place, 0.3, axis=1)
+    found = identify(Record.from_arrays(sent.time, u, measured.time, measured.values,
+                                        input_hold='zoh'))
+    assert found.model.actuators[1 - place].limit == pytest.approx(0.7, rel=0.01)
+
+
+def test_a_part_without_a_sample_of_an_output_is_no_reason_to_fail():
+    """Of what is delayed by half a second nothing is left of a short part."""
+    given = driven(20, 'limit', 0.7)
+    def known(s, late, every):
+        time = s.time[::every] + late
+        kept = ((time < 8.0) | (time > 10.0)) & ((time < 10.6) | (time > 13.0))
+        return replace(s, time=time[kept], values=s.values[::every][kept])
+    y, = given.outputs
+    found = identify(Record.from_signals(
+        [known(s, 0.0, 1) for s in given.inputs],
+        [replace(known(y, 0.5, every), names=(name,)) for name, every in (('a', 1), ('b', 20))]))
+    assert found.model.actuators[0].limit == pytest.approx(0.7, rel=0.02)
+
+
+@pytest.mark.parametrize('budget', [3.0, 6.0])
+def test_a_budget_that_ends_before_what_acts_is_found_is_told(budget):
+    found = identify(driven(21, 'backlash', 0.4, duration=600.0), Settings(budget=budget))
+    assert any(found.model.actuators[0]) == (budget > 4.0) == found.good
+    assert found.good or 'whether actuators stop' in found.verdict.reason
+
+
 @pytest.mark.parametrize(('family', 'number', 'kind', 'value'), [
     ('saturation-30', 0, 'limit', 0.78), ('backlash', 4, 'backlash', 0.198),
     *slow(('backlash', 5, 'backlash', 0.29))])

@@ -29,7 +29,9 @@ from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.judge.changed import _divided
-from ctsid_core.likelihood.output_error import climb, fit_at
+from ctsid_core.judge.jumps import jumps_of, moved_by, under_loads
+from ctsid_core.judge.slopes import slopes_of
+from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.verdict import Remedy
 from ctsid_core.search.task import free_of
@@ -370,6 +372,20 @@ def test_who_leans_on_a_robot_does_not_change_it(seed, size):
         assert 'come back' not in text
         assert 'changed' not in text or 'a push)' in text
     assert found.model.dc_gain[0, 0] == pytest.approx(1.0, rel=0.15)
+
+
+def test_a_load_has_a_size_and_an_instant_for_each_jump():
+    """Two pushes are four jumps, and two by two they are found; three are one of them."""
+    samples = samples_of([pushed(1, 0.5)], [[None]])
+    free = Free(False, True, (False,), 1.0, -1e-6, 30.0)
+    fit = climb(samples, fit_at(samples, np.array([-3.0 + 0j]), np.zeros(1), free), free)
+    slopes = slopes_of(samples, (fit.model, free))
+    steps, none = moved_by(slopes, None), slopes.rows[:, :0]
+    for most in (3, 4):
+        *_, (found, _) = jumps_of(slopes, steps, most, pairs=True)
+        assert sum(1 + (start > 0) for _, start, _ in found) <= most
+    three, four = (under_loads(slopes, most, none).power[0] for most in (3, 4))
+    assert four < 0.3 * three
 
 
 @pytest.mark.parametrize('seed', [0, *slow(*range(1, 6))])

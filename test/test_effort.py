@@ -323,3 +323,8 @@ def test_windows_have_the_budget_of_their_stride():
     for wrong in (-1.0, float('inf'), float('nan')):
         with pytest.raises(SettingsError, match='`budget` is'):
             Settings(budget=wrong)
+
+
+@pytest.mark.parametrize('budget', [1e-6, 1e-4])
+def test_no_budget_is_too_short_for_an_answer(record, budget):
+    assert identify(record, Settings(budget=budget)).status is not None

@@ -99,7 +99,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
-    drift = _drift(solution) if solution.drifting or change.cost <= NOTED else Drift()
+    drift = _drift(solution) if solution.drifting or change.pushed or change.cost <= NOTED \
+        else Drift()
     effort.check()
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)

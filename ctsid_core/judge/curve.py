@@ -71,7 +71,13 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
 
 
 def curves_of(samples: Samples, fit: Fit) -> list[Array]:
-    """Return the columns of curves for each output of each record, over the rms of its errors."""
+    """
+    Return the columns of curves for each output of each record, over the rms of its errors.
+
+    None, if of an output of a record there is no sample.
+    """
+    if not samples.counts.all():
+        return []
     powers = _powers(samples, residuals(samples, fit))
     size = np.sqrt(np.maximum(fit.power, 1e-300))
     return [block / one for record, curved, own in zip(samples.records, powers, size, strict=True)

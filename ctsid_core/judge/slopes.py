@@ -76,7 +76,8 @@ class Slopes:
         edges = np.cumsum(self.counts.astype(int))[:-1]
         for one in blocks:
             self.samples.effort.spend(0.6 * one.size * one.shape[1])
-            own.append(basis_of(one))
+            tells = one.shape[1] <= MOST * len(one)         # more explain any of so few samples
+            own.append(basis_of(one) if tells else one[:, :0])
         if blocks:
             self.samples.effort.spend(0.6 * self.rows.size * k)
             rows, error, left = (np.concatenate([part - Q @ (Q.T @ part) for Q, part in zip(
@@ -88,7 +89,7 @@ class Slopes:
         further = basis_of(left, basis, more)
         numbers = sum(Q.shape[1] for Q in (*own, basis, further))
         errors = np.split(error - further @ (further.T @ error), edges)
-        power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
+        power = np.maximum([float(e @ e) / max(len(e), 1) for e in errors], 1e-300)
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 
     def without(self, more: Array, common: Array | None = None) -> tuple[Array, Array]:

@@ -27,6 +27,7 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 
 _LEFT = 0.3           # power of errors, noise apart, that jumps may leave of what others do
+_BACK = 0.25          # of what a gain jumps by, at most, that it does not come back
 _ASKED = 'whether gains vary'
 
 
@@ -73,10 +74,10 @@ def _of_recording(samples: Samples, own: Own, place: int, names: Sequence[str],
             i = int(np.argmax(noisy - coloured))
             if gain > worth and coloured[i] < _LEFT * noisy[i]:
                 at = np.sort([end for _, _, end in jumps])
-                worth, spread = gain, _spread(slopes, moved, at)
+                worth, (spread, back) = gain, _spread(slopes, moved, at)
                 found = Drift(place, 100.0 * float(np.sqrt((noisy - coloured)[i])), inputs=tuple(
                     InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps),
-                    span=_span(at))
+                    span=_span(at) if back else ())
                 best = coloured
     if not found.cost > NOTED:
         return Drift()
@@ -100,11 +101,17 @@ def _errors(slopes: Slopes, errors: Array) -> Residuals:
         parts, np.sqrt(slopes.fit.power.ravel()), strict=True)], slopes.samples)
 
 
-def _spread(slopes: Slopes, moved: Array, at: Array) -> float:
-    """Return the rms by which a gain that jumps differs from its mean, over what is moved."""
+def _spread(slopes: Slopes, moved: Array, at: Array) -> tuple[float, bool]:
+    """
+    Return the rms by which a gain that jumps differs from its mean, over what is moved.
+
+    And whether in the end it is what it was.
+    """
     columns, error = slopes.without(moved[at].T)
     jumps = np.linalg.lstsq(columns, error, rcond=NOTHING)[0]
-    gains = np.append(0.0, np.cumsum(jumps))[
+    levels = np.append(0.0, np.cumsum(jumps))
+    gains = levels[
         np.searchsorted(at, (slopes.shares * INSTANTS).astype(int), side='right')]
     mean = np.average(gains, weights=moved[0] ** 2)
-    return float(np.sqrt(np.average((gains - mean) ** 2, weights=moved[0] ** 2)))
+    return (float(np.sqrt(np.average((gains - mean) ** 2, weights=moved[0] ** 2))),
+            bool(abs(levels[-1]) < _BACK * np.max(np.abs(levels))))

@@ -42,6 +42,7 @@ _SOONER = 0.5         # times the dead time: of what is sent it may stand for wh
 _SCREENED = 400       # samples of a stream that all numbers are compared on, ...
 _BEST = 2             # ... and of the best ones of each kind so many are made the most of
 _FARTHER = (0.01, 0.03, 0.1, 0.3, 0.9)      # of it, that others are away that may be right
+_EACH = 10            # evaluations that one takes, about
 _PASSES = 4           # in which numbers are found, one after the other
 _ROUNDS = 6           # as often it is looked for, unless it is hardly likelier then
 _CHANCE = 1.0         # -2 log likelihood that another number gains by chance
@@ -84,6 +85,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
         other = again(settings.with_actuators(each), False)
         if other is None or not _explains_more(other, best, _count(seen) - _count(acting),
                                                any(any(own[1:]) for own in seen.values())):
+            solution.samples.effort.leaves_out(_ASKED, SEARCH)      # or it was broken off
             break
         best, acting = other, {k: each[j] for k, j in enumerate(u)}
         if other.part.parts[0].u != u:      # one that acts as it is silent
@@ -191,7 +193,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         stops = [one for one in sought if one[1] == 'timeout']
         best = _next(commands, screen, acting, stops if _set(stops, acting) != _set(
             stops, known) else sought, starts)
-        if best is None or effort.beyond(SEARCH):
+        if best is None or effort.leaves_out(_ASKED, SEARCH):
             break
         # Another start may be what is better of it.
         starts[0] = best[0].fit.model.poles, best[0].fit.model.delay
@@ -206,6 +208,8 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     if own is None or not numbers:
         return known, False
     whole = commands_of(samples, sent, free)        # they are as sure as all samples tell
+    if effort.beyond(SEARCH, _EACH * len(numbers) * whole.work(own.fit)):
+        whole, numbers = commands, []               # another search has to follow
     own = whole.reached(acting, [(own.fit.model.poles, own.fit.model.delay)])
     given = whole.reached(known, [begun])
     if own is None or given is None:
@@ -303,7 +307,10 @@ def _set(sought: Sequence[tuple[tuple[int, ...], str]],
 def _nearer(commands: Commands, own: Tried, acting: Acting,
             numbers: Sequence[tuple[tuple[int, ...], str]]) -> tuple[Tried, Acting]:
     """Return the same with numbers that are likeliest, one after the other, and the model."""
+    same = 0
     for channels, kind in numbers:
+        if same == len(set(numbers)):       # none is nearer
+            break
         near, value = own.fit, getattr(acting[channels[0]], kind)
 
         def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,
@@ -315,12 +322,13 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
         best = minimize_scalar(
             cost, method='bounded', options={'xatol': _CLOSELY * value},
             bounds=(value / _NEAR, min(value * _NEAR, most)))
+        same += 1
         if not best.fun < near.cost or abs(best.x - value) < _CLOSELY * value:
             continue
         other = with_number(acting, channels, kind, float(best.x))
         one = commands.reached(other, [(near.model.poles, near.model.delay)])
         if one is not None:
-            own, acting = one, other
+            own, acting, same = one, other, 0
     return own, acting
 
 

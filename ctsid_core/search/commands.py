@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.records import Joint
+from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
@@ -54,6 +55,11 @@ class Commands:
             return signal
         self.samples.effort.spend(_WORK * len(signal.time))
         return behind(signal, own, float(self.levels[record][channel]))
+
+    def work(self, fit: Fit) -> float:
+        """Return the work of computing what acts, and a model of it."""
+        return evaluation_work(self.samples, len(fit.model.poles), slopes=False) + _WORK * sum(
+            float(len(s.time)) for r in self.samples.records for s in r.inputs)
 
     def at(self, acting: Samples, start: Start, near: Fit | None = None) -> Fit | None:
         """Return the model of what acts with some poles and dead times, if there is one."""

@@ -34,7 +34,7 @@ _REAL = 12            # real poles on the grid
 _PAIRS = 12           # natural frequencies of pairs at each damping
 _DAMPING = (0.1, 0.4, 0.8)
 _RANKED = 300         # samples of a stream that the grid is ranked on
-_CELLS = 4000         # of time, at most
+_CELLS, _FEWEST = 4000, 16              # of time, at most and at least
 _RATES = 6            # decay rates of resonances, damped no more than pairs of the grid
 _LINES = 64000        # cells of time for correlations, at most
 _SHARE = 0.05         # of a budget, that either grid of cells takes at most
@@ -275,8 +275,9 @@ def _cells_of(samples: Samples, longest: float, finest: float, most: int,
     """Return the cells of all records, of one size; `work` is what each takes, and each input."""
     length, effort = samples.length + longest, samples.effort
     if effort.budget:
-        most = min(most, int(_SHARE * effort.worth(effort.budget) / (work * samples.nu)))
-    step = float(length / np.clip(length // finest, 16, most))
+        most = min(most, max(_FEWEST, int(_SHARE * effort.worth(effort.budget) / (
+            work * samples.nu))))
+    step = float(length / np.clip(length // finest, _FEWEST, most))
     return [_Cells(r, longest, step) for r in samples.records]
 
 

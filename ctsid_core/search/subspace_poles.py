@@ -59,12 +59,14 @@ class Subspace:
         Return the regressions, with dead times as they are given or as first found.
 
         Small models of several inputs have any dead times: those given are a start, too, and where
-        a budget is short the first that are asked for are all; none, if it does not last for any.
+        a budget is short the first that are asked for are all; none, if they take most of it.
         """
         given = bool(np.array_equal(delay, self._own.delays(len(delay))))
         work = _PROJECTION + _PER_SAMPLE * sum(
             float(len(s.time)) for p in self._part.parts for s in p.record.outputs)
-        if given in self._made or self._effort.beyond(POINT if self._made else 1.0, work):
+        short = self._effort.beyond(POINT) if self._made else \
+            0.0 < POINT * self._effort.worth(self._effort.budget) < work
+        if given in self._made or short:
             return self._made.get(given)
         self._made[given], own = None, self._own.replace(delay=tuple(delay.tolist()))
         self._effort.spend(work)
