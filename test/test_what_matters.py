@@ -501,7 +501,7 @@ def test_what_two_models_leave_is_what_they_do_to_first_order(seed, number, coun
 
 
 def test_what_curves_of_each_output_leave_is_what_least_squares_leave():
-    """Of each output by themselves, beside what all of them share and what one side has alone."""
+    """Each output's of both records, beside what all share and what one side has alone."""
     rng, t = np.random.default_rng(0), np.arange(0.0, 10.0, 0.02)
     u = np.repeat(rng.standard_normal((50, 2)), 10, axis=0)
     y = np.transpose([lfilter([0.0, 0.1], [1.0, -0.9], u @ own)
@@ -515,10 +515,13 @@ def test_what_curves_of_each_output_leave_is_what_least_squares_leave():
     curves = curves_of(samples, slopes.fit)
     more = slopes.rest * (slopes.shares > 0.5)[:, np.newaxis]
     left = slopes.beside(more, curves)
-    whole = np.hstack((slopes.rows, block_diag(*curves), more))
+    # Rows are those of each output of the first record, then of each of the second.
+    counts = slopes.counts.astype(int)[::3]
+    whole = np.hstack((slopes.rows, np.vstack([block_diag(*part) for part in zip(*(
+        np.split(one, counts[:1]) for one in curves), strict=True)]), more))
     whole /= np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
     rest = slopes.error - whole @ np.linalg.lstsq(whole, slopes.error, rcond=1e-4)[0]
-    assert len(curves) == len(slopes.counts) == 6
+    assert [len(one) for one in curves] == [550] * 3
     np.testing.assert_allclose(np.concatenate(left.errors), rest, atol=1e-3)
     assert left.numbers == np.linalg.matrix_rank(whole, 1e-4)       # some curves are alike
     assert slopes.beside(more).cost > left.cost

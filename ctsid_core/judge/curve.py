@@ -72,7 +72,7 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
 
 def curves_of(samples: Samples, fit: Fit) -> list[Array]:
     """
-    Return the columns of curves for each output of each record, over the rms of its errors.
+    Return the columns of curves for each output, of all records, over the rms of its errors.
 
     None, if of an output of a record there is no sample.
     """
@@ -80,9 +80,10 @@ def curves_of(samples: Samples, fit: Fit) -> list[Array]:
         return []
     powers = _powers(samples, residuals(samples, fit))
     size = np.sqrt(np.maximum(fit.power, 1e-300))
-    return [block / one for record, curved, own in zip(samples.records, powers, size, strict=True)
-            for k, stream in enumerate(record.streams)
-            for block in [_curves(record, k, fit.model, curved)] for one in own[stream.channels]]
+    found = [[block / one for k, stream in enumerate(record.streams)
+              for block in [_curves(record, k, fit.model, curved)] for one in own[stream.channels]]
+             for record, curved, own in zip(samples.records, powers, size, strict=True)]
+    return [np.vstack(same) for same in zip(*found, strict=True)]
 
 
 def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:

@@ -67,22 +67,25 @@ class Slopes:
         """
         Return what further columns leave, at most half as many as there are samples.
 
-        Of each output of each record a block may have columns that are 0 everywhere else.
+        Of each output a block, of all records, may have columns that are 0 everywhere else.
         """
         count, k = self.rows.shape
         if k + more.shape[1] + sum(one.shape[1] for one in blocks) > MOST * count:
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        left, (basis, error), own = more, self._without, list[Array]()
-        edges = np.cumsum(self.counts.astype(int))[:-1]
+        (basis, error), own = self._without, list[Array]()
+        edges, left = np.cumsum(self.counts.astype(int))[:-1], more
         for one in blocks:
             self.samples.effort.spend(0.6 * one.size * one.shape[1])
             tells = one.shape[1] <= MOST * len(one)         # more explain any of so few samples
             own.append(basis_of(one) if tells else one[:, :0])
         if blocks:
             self.samples.effort.spend(0.6 * self.rows.size * k)
-            rows, error, left = (np.concatenate([part - Q @ (Q.T @ part) for Q, part in zip(
-                own, np.split(all_of_it, edges), strict=True)])
-                for all_of_it in (self.rows, self.error, more))
+            rows, error, left = (x.copy() for x in (self.rows, self.error, more))
+            parts = np.split(np.arange(count), edges)
+            for i, Q in enumerate(own):
+                at = np.concatenate(parts[i::self.samples.ny])
+                for x in (rows, error, left):
+                    x[at] -= Q @ (Q.T @ x[at])
             basis = basis_of(rows, whole=self.rows)
             error = error - basis @ (basis.T @ error)
         self.samples.effort.spend(0.6 * count * more.shape[1] * (2 * k + more.shape[1]))
