@@ -317,6 +317,13 @@ def test_a_command_that_did_not_reach_the_robot_is_left_out():
     assert identify([given.between(0.0, begin), given.between(back, 60.0)]).good
 
 
+def test_a_gain_that_does_not_come_back_is_another_for_no_time():
+    found = identify(varying(4, lambda t: 1.0 if t < 20.0 else 0.6 if t < 30.0 else 0.8))
+    assert not found.good
+    assert 'drift_from' not in found.statistics
+    assert 'leaving that out' not in found.verdict.reason
+
+
 def test_of_several_inputs_and_records_those_whose_gains_vary_are_named():
     found = identify([varying(3, still, still), varying(1, still, carries)])
     told = re.match(r'Gains change from (.*) to (.*) s after the start of record 2 and come back '
