@@ -15,7 +15,7 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 from ctsid_core.search.actuators import SURELY
 from ctsid_core.search.solution import Doubt, Solution
-from ctsid_core.search.tried import tried
+from ctsid_core.search.tried import parameters, tried
 from ctsid_core.settings import Actuator
 from ctsid_core.signals.actuators import in_words
 
@@ -54,8 +54,8 @@ def explained_best(solution: Solution, acted: Solution) -> Solution:
     changes, alike = [], False
     if solution.drifts is not None:
         alike = tried(*acted.simulated).unexplained > _MOST * solution.drifts.unexplained
-        changes.append(ahead(solution.drifts.power, samples, solution.drifts.parameters - tried(
-            samples, fit, free).parameters))
+        changes.append(ahead(solution.drifts.power, samples, solution.drifts.parameters
+                             - parameters(samples, fit, free)))
     change = most_likely_change(samples, fit, free, solution.smaller, solution.telling)
     if change.cost > NOTED and change.share > 0.0:
         before, after = ((1.0 - 0.01 * side) ** 2 for side in change.two)

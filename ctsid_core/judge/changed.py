@@ -119,9 +119,11 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     best = _best(one, whole, found) if found.gain > 0.0 else Change()
     if not best.gain > 0.0:
         return Change()
+    unsized = Change(place, found.share, gain=found.gain)
+    if best.pushed:
+        return unsized
     size = _divided(samples, plant, plant, place, found.share, certain=True)
-    return Change(place, found.share, gain=found.gain) if best.pushed or size.left >= _LEFT \
-        else size
+    return size if size.left < _LEFT else unsized
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:

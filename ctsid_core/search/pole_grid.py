@@ -160,7 +160,7 @@ class Correlations:
     def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
         self._samples = samples
         self._cells = _cells_of(samples, longest, finest, _LINES,
-                                _PER_LINE * _REAL * (1 + len(_DAMPING)) * samples.ny)
+                                _PER_LINE * (_REAL + _PAIRS * len(_DAMPING)) * samples.ny)
         self.step, lags = self._cells[0].step, max(c.count for c in self._cells)
         self._size = next_fast_len(2 * lags, real=True)
         self._lines = 2.0 * np.pi / self.step * np.fft.rfftfreq(self._size)
