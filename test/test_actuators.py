@@ -332,6 +332,29 @@ def test_what_a_drift_explains_as_well_is_a_doubt(family, seed, number, limit):
     assert 'drifts' not in identify(record, Settings(limit=limit)).verdict.reason
 
 
+@pytest.mark.parametrize('kind', EACH)
+@pytest.mark.parametrize('part', [0.7, *slow(1.5)])
+def test_what_is_given_wrongly_is_a_doubt(kind, part):
+    record, wrong = driven(1, kind, EACH[kind]), Settings(**{kind: part * EACH[kind]})
+    found = identify(record, wrong)
+    assert found.verdict.grade is Grade.WEAK
+    assert found.verdict.remedy is Remedy.SETTING
+    assert found.verdict.reason.endswith(
+        f', but another number explains more; set `u1.{kind}: auto`.')
+    assert getattr(found.model.actuators[0], kind) == part * EACH[kind]
+
+
+def test_what_is_given_and_is_not_there_is_a_doubt():
+    found = identify(driven(1), Settings(limit=0.7))
+    assert found.verdict.reason.endswith('set `u1.limit: auto`.')
+
+
+@pytest.mark.parametrize('kind', EACH)
+def test_what_is_given_rightly_is_none(kind):
+    found = identify(driven(1, kind, EACH[kind]), Settings(**{kind: 1.03 * EACH[kind]}))
+    assert found.good, found.verdict.reason
+
+
 def test_windows_that_do_not_reach_a_limit_keep_that_of_those_before():
     tracker = Tracker()
     first = tracker.take(driven(1, 'limit', 0.7)).estimate

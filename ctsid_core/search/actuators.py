@@ -24,14 +24,14 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.by_order import SEARCHED
 from ctsid_core.search.commands import Acting, Commands, Start, commands_of, with_number
-from ctsid_core.search.solution import DISTURBED, TIMEOUT, Doubt, Solution
+from ctsid_core.search.solution import DISTURBED, Doubt, Solution
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
 from ctsid_core.settings import LARGEST_INPUT, LONGEST_DELAY, Actuator, Settings
 from ctsid_core.signals.actuators import in_words
 from ctsid_core.signals.record import channel_slices
 
-APART = 0.1           # of a timeout: nearer to what is given is no doubt
+APART = 0.1           # of a number: nearer to what is given is no doubt
 SURELY = 10.0         # -2 log likelihood by which what acts must be likelier: 150 to 1
 _MOST = 0.7           # times the error that is not noise, that what acts may leave, ...
 _LEFT = 0.06          # ... and of the motion: a sensor that is clipped leaves more
@@ -56,8 +56,8 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
 
     `again` identifies the records, which `sent` has as they were sent, with other settings. In a
     `loop` timeouts alone are looked for: simulations of what a controller holds seem to tell of
-    any of the others. A timeout that was given and is another one, or that no model confirms, is a
-    doubt.
+    any of the others. What was given and is another number is a doubt, and a timeout that no model
+    confirms.
     """
     part = sent.parts[0]
     whole, u = part.whole, solution.part.parts[0].u
@@ -75,6 +75,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
         first = first or (seen if sure else acting)
         if seen == acting:
             break
+        before = best.settings.actuators(whole.nu)
         each = list(given)
         for k, j in enumerate(u):
             for kind, value in seen[k]._asdict().items():
@@ -82,6 +83,8 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
                 of = next(c for c in together if j in c) if kind == 'timeout' else [j]
                 for i in of:
                     each[i] = each[i]._replace(**{kind: value} if unknown[kind][i] else {})
+        if tuple(each) == before:           # it is all given
+            break
         other = again(settings.with_actuators(each), False)
         if other is None or not _explains_more(other, best, _count(seen) - _count(acting),
                                                any(any(own[1:]) for own in seen.values())):
@@ -90,9 +93,10 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
         best, acting = other, {k: each[j] for k, j in enumerate(u)}
         if other.part.parts[0].u != u:      # one that acts as it is silent
             break
-    doubts = (_doubt(whole.input_names, j, first[k].timeout) for k, j in enumerate(u)
-              if k in first and first[k].timeout and abs(first[k].timeout - acting[k].timeout) >
-              APART * first[k].timeout)
+    doubts = (_doubt(whole.input_names[j], kind, known, value) for k, j in enumerate(u)
+              if k in first for kind, known, value in zip(
+                  Actuator._fields, acting[k], first[k], strict=True)
+              if (known or kind == 'timeout') and abs(value - known) > APART * value)
     beside, deviations = list(_beside(best, settings)), [Actuator()] * whole.nu
     for j, kind, deviation, _ in beside:        # of a larger and of a smaller number
         deviations[j] = deviations[j]._replace(
@@ -118,11 +122,15 @@ def with_choices(solution: Solution, settings: Settings) -> Solution:
             for kind, value, off in zip(Actuator._fields, own, deviations, strict=True) if value)))
 
 
-def _doubt(names: Sequence[str], place: int, seconds: float) -> Doubt:
-    name = names[place]
-    return (f'input {name} acts as if it were 0 from about {seconds:.2g} s after a message on, '
-            'while it is silent: a timeout seems to stop the robot, or messages were lost',
-            f'{name.partition("[")[0]}{TIMEOUT}{seconds:.2g}')
+def _doubt(name: str, kind: str, given: float, value: float) -> Doubt:
+    """Return that what is said to act of an input is not so, and what to set."""
+    setting = f'{name.partition("[")[0]}.{kind}: '
+    if kind == 'timeout':
+        return (f'input {name} acts as if it were 0 from about {value:.2g} s after a message on, '
+                'while it is silent: a timeout seems to stop the robot, or messages were lost',
+                f'{setting}{value:.2g}')
+    words, = in_words((name,), [Actuator(**{kind: given})])
+    return f'it is given that {words}, but another number explains more', f'{setting}auto'
 
 
 def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) -> bool:
@@ -270,8 +278,9 @@ def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple
             continue
         yield tuple(places), 'timeout'
         for kind in () if loop else Actuator._fields[1:]:
-            unknown = settings.unknown_actuators(kind, nu)
-            yield from (((k,), kind) for k in places if unknown[part.u[k]])
+            unknown, given = settings.unknown_actuators(kind, nu), settings.actuators(nu)
+            yield from (((k,), kind) for k in places
+                        if unknown[part.u[k]] or getattr(given[part.u[k]], kind))
 
 
 def _next(commands: Commands, screen: Commands, acting: Acting,
