@@ -31,7 +31,7 @@ from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.coherence import lag, mean_coherence
 from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
-from ctsid_ros.recordings.guess import _AT_ONCE, _followed, better, guess, scalars
+from ctsid_ros.recordings.guess import _AT_ONCE, _followed, better, guess, offered, scalars
 from ctsid_ros.recordings.guess_candidates import no_signal
 from ctsid_ros.recordings.guess_named import Named
 from ctsid_ros.recordings.guess_pairs import (
@@ -892,6 +892,11 @@ def test_too_little_moves(tmp_path):
         guessed(write_mcap(tmp_path / 'a.mcap', sent))
     with pytest.raises(BagError, match=r'too short: data\[0\] of /cmd \(7 messages\)'):
         guessed(write_mcap(tmp_path / 'b.mcap', sent[:7]))
+    stopped = [replace(one, log_ns=START) for one in sent]
+    with pytest.raises(BagError, match='at one instant'):
+        guessed(write_mcap(tmp_path / 'c.mcap', stopped))
+    with open_bag(tmp_path / 'c.mcap') as bag:
+        assert not offered(bag, survey(bag))
 
 
 def test_large_bags_are_read_in_portions(base, monkeypatch):

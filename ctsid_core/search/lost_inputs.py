@@ -56,7 +56,7 @@ def of_lost_inputs(solution: Solution, settings: Settings,
     found = min((one for one in divided if one and one.simulated), key=_unexplained,
                 default=solution)
     doubt = solution.doubt if solution.doubt and TIMEOUT in solution.doubt[1] else found.doubt
-    return replace(found, doubt=doubt)
+    return replace(found, doubt=doubt, deviations=solution.deviations)
 
 
 def _unexplained(one: Solution) -> float:

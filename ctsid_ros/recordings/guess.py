@@ -366,6 +366,8 @@ def _what_moves(found: Sequence[Candidate], survey: Survey) -> str:
     if found:
         return (f'only {found[0].key[1]} of {found[0].key[0]} does (a step before the first '
                 'sample is not seen: the recording has to begin before it)')
+    if not survey.duration:
+        return 'all messages were recorded at one instant: the clock of the recorder stood'
     moving = [(t, f.field) for t in survey.topics for f in t.moving]
     few = ', '.join(f'{field} of {topic.info.name} ({topic.info.count} messages)'
                     for topic, field in moving[:4])

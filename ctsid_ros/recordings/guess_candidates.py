@@ -191,6 +191,8 @@ def candidates(bag: Bag, survey: Survey, named: Collection[Key] = ()
         (*usual.get(t.info.name, ()), *wanted[t.info.name]))] for t in topics}
     read, parts = gather(bag, survey, fields)
     clock = clock_for([_rate(samples.time) for samples in read.values()], parts)
+    if not len(clock.time):             # all is of one instant
+        return [], clock
     found = [one for topic in topics
              for one in _of_topic(topic, bag.message_type(topic.info.name),
                                   fields[topic.info.name], read[topic.info.name], clock,
