@@ -143,8 +143,9 @@ def _drift(e: Evidence) -> str:
     """Return that the plant drifts, and how, in words."""
     if e.drift.jumps:
         gains = ', '.join(f'of {one.name} by {100.0 * one.gain:.0f} %' for one in e.drift.inputs)
-        return (f'gains change{e.drifting} and come back ({gains} around the mean, rms; '
-                f'{e.drift.jumps} jumps explain it): constant ones miss {e.drift.cost:.1f} % of '
+        back = ' and come back' * bool(e.drift.span)
+        return (f'gains change{e.drifting}{back} ({gains} around the mean, rms; {e.drift.jumps} '
+                f'jumps explain it): constant ones miss {e.drift.cost:.1f} % of '
                 'the motion; take windows in which they stay'
                 + ', leaving that out if a command was lost there, or did not reach the robot'
                 * bool(e.drift.span) + ' (if small commands are ignored, move the input more)')
