@@ -96,7 +96,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     doubts = (_doubt(whole.input_names[j], kind, known, value) for k, j in enumerate(u)
               if k in first for kind, known, value in zip(
                   Actuator._fields, acting[k], first[k], strict=True)
-              if (known or kind == 'timeout') and abs(value - known) > APART * value)
+              if value and (known or kind == 'timeout') and abs(value - known) > APART * value)
     beside, deviations = list(_beside(best, settings)), [Actuator()] * whole.nu
     for j, kind, deviation, _ in beside:        # of a larger and of a smaller number
         deviations[j] = deviations[j]._replace(
