@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from ctsid_core.bases.preparation import as_measured, computable
+from ctsid_core.bases.preparation import computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
 from ctsid_core.judge.acting import explained_best
@@ -21,8 +21,7 @@ from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.actuators import of_actuators, with_choices
-from ctsid_core.search.corrupt import given_back
-from ctsid_core.search.lost_inputs import of_lost_inputs
+from ctsid_core.search.corrupt import given_back, of_lost_inputs
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.solve import solve
 from ctsid_core.search.task import own_delays
@@ -30,6 +29,7 @@ from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import as_acting, settled
+from ctsid_core.signals.as_measured import as_measured
 from ctsid_core.signals.record import Record
 from ctsid_core.subspace.methods import METHODS
 

@@ -9,8 +9,7 @@ from plants import PLANTS, Multisine, _stationary, match
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
-from ctsid_core.advice.advice import Advice, PoleAdvice, advise
-from ctsid_core.advice.forecast import Band
+from ctsid_core.advice.advice import Advice, Band, PoleAdvice, advise
 from ctsid_core.errors import DataError
 from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main

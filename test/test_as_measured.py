@@ -11,8 +11,9 @@ from plants import held_response, plant
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.bases.preparation import as_measured, without_corrupt
+from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.model.validation import simulation
+from ctsid_core.signals.as_measured import as_measured
 from ctsid_ros.studies.robots import families
 
 PLANT = plant([[0.0, 1.0], [-36.0, -6.0]], [[0.0], [36.0]], [[1.0, 0.0]])

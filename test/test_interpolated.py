@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.signals.interpolated import without_interpolated
+from ctsid_core.signals.as_measured import without_interpolated
 from ctsid_ros.studies.robots.inputs import drive
 from ctsid_ros.studies.robots.linear import Held, Linear
 

@@ -24,7 +24,7 @@ from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.preparation import usable
-from ctsid_core.signals.outliers import spikes
+from ctsid_core.signals.spikes import spikes
 
 
 def uneven(rng, count: int, rate: float = 200.0):

@@ -516,13 +516,13 @@ def test_what_curves_of_each_output_leave_is_what_least_squares_leave():
     more = slopes.rest * (slopes.shares > 0.5)[:, np.newaxis]
     left = slopes.beside(more, curves)
     # Rows are those of each output of the first record, then of each of the second.
-    counts = slopes.counts.astype(int)[::3]
+    counts = slopes.samples.counts.ravel().astype(int)[::3]
     whole = np.hstack((slopes.rows, np.vstack([block_diag(*part) for part in zip(*(
         np.split(one, counts[:1]) for one in curves), strict=True)]), more))
     whole /= np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
     rest = slopes.error - whole @ np.linalg.lstsq(whole, slopes.error, rcond=1e-4)[0]
     assert [len(one) for one in curves] == [550] * 3
-    np.testing.assert_allclose(np.concatenate(left.errors), rest, atol=1e-3)
+    np.testing.assert_allclose(left.errors, rest, atol=1e-3)
     assert left.numbers == np.linalg.matrix_rank(whole, 1e-4)       # some curves are alike
     assert slopes.beside(more).cost > left.cost
 

@@ -14,13 +14,10 @@ from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.settings import Settings
-from ctsid_core.signals.bursts import without_bursts
+from ctsid_core.signals.as_measured import as_measured
 from ctsid_core.signals.gaps import FEWEST, missing
-from ctsid_core.signals.interpolated import without_interpolated
-from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices, with_each
-from ctsid_core.signals.repeats import without_repeats
-from ctsid_core.signals.spikes import SURE
+from ctsid_core.signals.spikes import SURE, SURE_INPUT, Spikes, no_spikes, report, spikes
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 
@@ -85,14 +82,6 @@ def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
             f'{np.count_nonzero(~good)} of {len(good)} samples of {", ".join(names)} are larger '
             f'than {LARGEST:g}, and were not used; check that sensor')
     return with_each(record, whole)
-
-
-def as_measured(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Return a record with samples when and as often as they were measured, and notes on that."""
-    record, late = without_bursts(record)
-    record, often = without_repeats(record)
-    record, between = without_interpolated(record)
-    return record, (*late, *often, *between)
 
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.judge.changed import NOTED, most_likely_change, numbers_of
-from ctsid_core.judge.curve import curves_of
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.residuals import independent, mean_square, residuals
 from ctsid_core.likelihood.samples import Samples
@@ -48,9 +47,10 @@ def explained_best(solution: Solution, acted: Solution) -> Solution:
         return gain, gain - float(np.log(np.max(n_eff))) * (more + fewer)
     thin = samples.thinned(SEARCHED)
     slopes = slopes_of(thin, own)
-    curved = slopes.beside(slopes.rows[:, :0], curves_of(thin, slopes.fit))
-    bent = ahead(thin.mean(curved.power.reshape(-1, samples.ny) * slopes.fit.power), thin,
-                 curved.numbers - slopes.rows.shape[1])
+    curved = slopes.curved()
+    _, paid = ahead(slopes.power(curved), thin, curved.numbers - slopes.rows.shape[1])
+    if paid > 0.0:
+        return solution
     changes, alike = [], False
     if solution.drifts is not None:
         alike = tried(*acted.simulated).unexplained > _MOST * solution.drifts.unexplained
@@ -63,7 +63,7 @@ def explained_best(solution: Solution, acted: Solution) -> Solution:
         two[np.argmax(seen.mean(one.power))] = change.share * before + (
             1.0 - change.share) * after
         changes.append(ahead(two, thin, numbers_of(samples, own) + fit.model.n + samples.ny))
-    if max(paid for _, paid in (bent, *changes)) > 0.0:
+    if any(paid > 0.0 for _, paid in changes):
         return solution
     if alike or any(gain > -SURELY for gain, _ in changes):
         return replace(solution, doubt=_may_act(solution, *new[0]))

@@ -23,18 +23,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.judge.curve import curves_of
 from ctsid_core.judge.jumps import under_loads
-from ctsid_core.judge.slopes import SEARCHED, Own, in_records, only, recordings, slopes_of
-from ctsid_core.likelihood.output_error import (
-    Fit,
-    Fitted,
-    Free,
-    Residuals,
-    climb_roughly,
-    fit_at,
-    fit_states,
-)
+from ctsid_core.judge.slopes import SEARCHED, Own, only, recordings, slopes_of
+from ctsid_core.likelihood.output_error import Fit, Fitted, Free, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.residuals import (
     coloured_power,
     independent,
@@ -42,7 +33,7 @@ from ctsid_core.likelihood.residuals import (
     residuals,
     white_part,
 )
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.least_squares import basis_of
 from ctsid_core.linear.types import Array
 
@@ -164,13 +155,12 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     slopes = slopes_of(samples, own)
     states, shares, each = slopes.states, slopes.shares, float(np.min(counts))
     rival = slopes.fit if own is whole else fit_states(samples, *whole)
-    errors = np.split(slopes.error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
-    noise = white_part(in_records(errors, samples)) ** 2
+    noise = white_part(slopes.in_records(slopes.error)) ** 2
     most = each * min(float(np.sum(samples.mean(rival.power / slopes.fit.power))),
                       samples.ny - (1.0 - _LEFT) * float(np.max(1.0 - noise)))
     # As many samples count of each output as there are of the one that has fewest.
     weight = np.repeat(np.tile(np.sqrt(each / counts), len(samples.records)),
-                       slopes.counts.astype(int))
+                       samples.counts.ravel().astype(int))
     rows, error = slopes.rows * weight[:, np.newaxis], slopes.error * weight
     order = np.argsort(shares, kind='stable')
     if len(rows) <= rows.shape[1]:              # samples enough for one model only
@@ -223,12 +213,13 @@ def _best(samples: Samples, own: Own, change: Change) -> Change:
     common = states * after if change.share else states[:, :0]
     if not change.share:
         of = np.array([r.recording for r in samples.records])
-        after = (of[slopes.records] == of[change.record])[:, np.newaxis]
+        after = np.repeat(of == of[change.record], samples.counts.sum(axis=1).astype(int))[
+            :, np.newaxis]
 
     def cost(more: Array) -> float:
         return slopes.beside(np.hstack((common, more))).cost
     divided = cost(rest * after)
-    curved = slopes.beside(common, curves_of(samples, slopes.fit)).cost
+    curved = slopes.curved(common).cost
     if not divided < np.inf or divided > curved or change.share and divided > cost(slopes.drift):
         return Change()
     jumps = (numbers_of(samples, own) + 1) // 2          # each has a size and an instant

@@ -12,26 +12,15 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
-from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
+from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs, varying_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds, never_rest, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
-from ctsid_core.judge.rounding import beside_rounding, rounding, rounding_notes
-from ctsid_core.judge.rules import (
-    NONE,
-    UNCORRELATED,
-    change_note,
-    few_sines,
-    judge,
-    pole_uncertainty,
-    tested,
-)
+from ctsid_core.judge.rules import NONE, UNCORRELATED, change_note, few_sines, judge, tested
 from ctsid_core.judge.stuck import stuck_outputs
-from ctsid_core.judge.unmoved import unmoved_notes
-from ctsid_core.judge.varying import varying_gains
+from ctsid_core.judge.unmoved import beside_rounding, rounding, rounding_notes, unmoved_notes
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.residuals import (
     by_output,
     coloured_power,
@@ -40,6 +29,7 @@ from ctsid_core.likelihood.residuals import (
     residuals,
     white_part,
 )
+from ctsid_core.likelihood.samples import Residuals
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
@@ -129,8 +119,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, evidence.doubt)) if setting not in verdict.reason),
                *((evidence.spent,) if evidence.spent not in verdict.reason else ())),
-        statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
-                    'drift_cost': drift.cost, **_others(part, drift)},
+        statistics={**counts, 'seconds_spent': effort.seconds,
+                    **_about(part, change, drift)},
         records=_shares(solution) if part.several else ())
 
 
@@ -262,7 +252,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
-        pole_uncertainty=pole_uncertainty(model.poles, deviation, 1.0 / part.length),
+        pole_uncertainty=float(np.max(deviation / np.maximum(
+            np.abs(model.poles), 1.0 / part.length), initial=0.0)),
         whiteness=everywhere(np.array([
             whiteness(np.concatenate(parts)) for parts in by_output(errors)])),
         response_uncertainty=everywhere(seen[1]), error=everywhere(error),
@@ -390,7 +381,8 @@ def _where(part: Joint, change: Change) -> str:
     whole, name = part.parts[change.record].whole, f'record {part.numbers[change.record]}'
     if not change.share:
         return f'in all of {name}'
-    about = f'about {after_start(_share(part, change) * whole.recording.duration)}'
+    at = _share(part, change.record, change.share) * whole.recording.duration
+    about = f'about {after_start(at)}'
     return by_clock(about, 0.0, name) if part.several else about
 
 
@@ -402,42 +394,36 @@ def _drifting(part: Joint, drift: Drift) -> str:
     if not drift.span:
         return f' within {name}'
     duration = part.parts[drift.record].whole.recording.duration
-    span = after_start(*(duration * share for share in _shares_of(part, drift)))
+    span = after_start(*(duration * _share(part, drift.record, at) for at in drift.span))
     return f' {by_clock(span, 0.0, name) if part.several else span}'
 
 
-def _shares_of(part: Joint, drift: Drift) -> list[float]:
-    """Return from when to when gains are others, as parts of the whole record, if known."""
-    return [_share(part, Change(drift.record, share)) for share in drift.span]
-
-
-def _others(part: Joint, drift: Drift) -> dict[str, float]:
-    """Return when gains are others, and of several records in which."""
-    found = dict(zip(('drift_from', 'drift_to'), _shares_of(part, drift), strict=False))
-    return found | ({'drift_record': float(part.numbers[drift.record])}
-                    if found and part.several else {})
-
-
-def _share(part: Joint, change: Change) -> float:
-    """Return where the change lies, as a part of the whole record."""
-    if change.record < 0:
+def _share(part: Joint, place: int, share: float) -> float:
+    """Return what is a part of a record that is looked at, as a part of the whole one."""
+    if place < 0:
         return float('nan')
-    if not change.share:
+    if not share:
         return 0.0
-    own = part.parts[change.record]
+    own = part.parts[place]
     whole = own.whole.recording
     record = own.record if own.whole is whole else whole
-    at = record.start + change.share * record.duration
+    at = record.start + share * record.duration
     return float((at - whole.start) / whole.duration)
 
 
-def _about(change: Change, part: Joint) -> dict[str, float]:
-    """Return what is known of the change: fits of one model and of two are in %."""
-    found = {'change_cost': change.cost, 'change_share': _share(part, change)}
+def _about(part: Joint, change: Change, drift: Drift) -> dict[str, float]:
+    """Return what is known of change and drift: fits of one model and of two are in %."""
+    found = {'change_cost': change.cost,
+             'change_share': _share(part, change.record, change.share)}
     for who, fits in (('one', change.one), ('two', change.two)):
         found |= zip((f'change_fit_{who}_before', f'change_fit_{who}_after'), fits, strict=True)
     if part.several and change.record >= 0:
         found['change_record'] = float(part.numbers[change.record])
+    found['drift_cost'] = drift.cost
+    for name, at in zip(('drift_from', 'drift_to'), drift.span, strict=False):
+        found[name] = _share(part, drift.record, at)
+    if part.several and drift.span:
+        found['drift_record'] = float(part.numbers[drift.record])
     return found
 
 

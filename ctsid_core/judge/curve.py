@@ -25,9 +25,9 @@ from scipy.linalg import block_diag
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import Triangle, columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, Residuals
+from ctsid_core.likelihood.output_error import Fit, Free
 from ctsid_core.likelihood.residuals import autoregression, motion_within, residuals
-from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.likelihood.samples import RecordSamples, Residuals, Samples
 from ctsid_core.linear.least_squares import basis_of, triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import steps_of

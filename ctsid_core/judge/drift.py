@@ -6,26 +6,34 @@ A car that gains speed, a battery that sags, a motor that warms up: a model of t
 as one can be, and may be what is wanted, but its user should know. Dead times alone drift where
 the clocks of input and output run apart. Looked at to first order, beside curves, which a plant
 that is not linear follows better.
+
+Or does a gain change and come back? Wheels slip on one floor and not on the next, a gripper picks
+up and puts down, a supply sags under other loads: no division of the record and no straight line
+in time follows that, and the model is right at no time. What one gain misses, and one that jumps
+at some instants does not: jump by jump, the one that explains most first (orthogonal matching
+pursuit). How many errors are independent say those of one gain beside a drift or curves: they are
+of one sign for long where gains vary, and in gusts, and what is slow by chance does not count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ctsid_core.judge.changed import NOTED
-from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Left, Own, in_records, only, recordings, slopes_of
+from ctsid_core.judge.jumps import INSTANTS, NOTHING, jumps_of, moved_by, under_loads
+from ctsid_core.judge.slopes import SEARCHED, Own, Slopes, only, recordings, slopes_of
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free
-from ctsid_core.likelihood.residuals import independent
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.residuals import coloured_power, independent, mean_square
+from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.drifting import standing
 
 _PART = 0.3           # of what drifts, that is not told
-_ASKED = 'whether the plant drifts'
+_LEFT = 0.3           # power of errors, noise apart, that jumps may leave of what others do
+_BACK = 0.25          # of what a gain jumps by, at most, that it does not come back
 
 
 class InputDrift(NamedTuple):
@@ -50,17 +58,29 @@ class Drift(NamedTuple):
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:
     """Return the drift of the record where it costs most, if more than the `least` [%]."""
+    return _costliest(samples, fit, least, lambda k: _drifting(
+        only(samples, k).thinned(SEARCHED), (fit.model, free), k, least))
+
+
+def varying_gains(samples: Samples, fit: Fit, free: Free, names: Sequence[str],
+                  means: Sequence[Array]) -> Drift:
+    """
+    Return how gains vary in the record where that costs most, if more than `NOTED` [%].
+
+    `means` are those of the inputs in each record, (nu,), which the samples are without.
+    """
+    return _costliest(samples, fit, NOTED, lambda k: _varying(
+        samples, (fit.model, free), k, names, means))
+
+
+def _costliest(samples: Samples, fit: Fit, least: float, of: Callable[[int], Drift]) -> Drift:
+    """Return the drift of the recording where it costs most, if a model misses so much [%]."""
     if not np.max(fit.power) > (0.01 * least) ** 2:
         return Drift()
-    found = max((_of_recording(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
-                 for k in recordings(samples)), key=lambda drift: drift.cost, default=Drift())
-    return over_all(found, samples)
-
-
-def over_all(found: Drift, samples: Samples) -> Drift:
-    """Return a drift with what it costs of all motion: of a short record that is a small part."""
+    found = max(map(of, recordings(samples)), key=lambda drift: drift.cost, default=Drift())
     if found.record < 0:
         return found
+    # Of a short record it is a small part of all motion.
     share = np.sum(only(samples, found.record).counts) / np.sum(samples.counts)
     return found._replace(moved=found.cost * float(np.sqrt(share)))
 
@@ -107,30 +127,96 @@ def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArr
     return InputDrift(name, float(told[0]), float(told[1]))
 
 
-def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift:
-    if not samples.counts.all() or samples.effort.leaves_out(_ASKED):
+def _drifting(samples: Samples, own: Own, place: int, least: float) -> Drift:
+    asked = 'whether the plant drifts'
+    if not samples.counts.all() or samples.effort.leaves_out(asked):
         return Drift()
     slopes = slopes_of(samples, own)
-    none = slopes.rows[:, :0]
-    constant, drifting = slopes.beside(none), slopes.beside(slopes.drift)
+    constant, drifting = slopes.beside(slopes.rows[:, :0]), slopes.beside(slopes.drift)
     if not drifting.cost < constant.cost:
         return Drift()
-
-    def power(left: Left) -> Array:
-        return samples.mean(left.power.reshape(-1, samples.ny) * slopes.fit.power)
     numbers, ny = drifting.numbers - constant.numbers, samples.ny
-    errors = [e[:, np.newaxis] for e in drifting.errors]
-    n_eff = independent(in_records(errors, samples))
-    before, after = power(constant), power(drifting)
+    n_eff = independent(slopes.in_records(drifting.errors))
+    before, after = slopes.power(constant), slopes.power(drifting)
     gain = float(n_eff @ np.log(before / after))
     by_chance = after * numbers / ny / np.maximum(n_eff - drifting.numbers / ny, 1.0)
     missed = np.maximum(before - after - by_chance, 0.0)
     if gain <= numbers * float(np.log(max(float(np.max(n_eff)), 2.0))) \
-            or np.max(missed) <= (0.01 * least) ** 2 or samples.effort.leaves_out(_ASKED):
+            or np.max(missed) <= (0.01 * least) ** 2 or samples.effort.leaves_out(asked):
         return Drift()
-    if drifting.cost >= slopes.beside(none, curves_of(samples, slopes.fit)).cost:
+    if drifting.cost >= slopes.curved().cost:
         return Drift()
     late = slopes.beside(slopes.drift[:, slopes.delays[~slopes.states]])
     most = int(np.argmax(missed))
     return Drift(place, 100.0 * float(np.sqrt(missed[most])),
-                 bool((2.0 * power(late) < before + after)[most]))
+                 bool((2.0 * slopes.power(late) < before + after)[most]))
+
+
+def _varying(samples: Samples, own: Own, place: int, names: Sequence[str],
+             means: Sequence[Array]) -> Drift:
+    means = [mean for r, mean in zip(samples.records, means, strict=True)
+             if r.recording == samples.records[place].recording and r.end > r.start]
+    samples = only(samples, place).thinned(SEARCHED // 2)
+    if not samples.counts.all() or samples.effort.leaves_out('whether gains vary'):
+        return Drift()
+    slopes = slopes_of(samples, own)
+    rival = min(slopes.beside(slopes.drift), slopes.curved(), key=lambda left: left.cost)
+    if rival.cost == np.inf:            # there are too few samples for either
+        return Drift()
+    errors = _errors(slopes, rival.errors)
+    n_eff, before, noisy = independent(errors), mean_square(errors), coloured_power(errors)
+    if not np.max(noisy) > (0.01 * NOTED) ** 2:
+        return Drift()
+    price = 2.0 * float(np.log(max(float(np.max(n_eff)), 2.0)))     # its size and its instant
+    gains = moved_by(slopes, means)
+    found, worth = Drift(), 0.0
+    # Of one input, or of all of them alike, as where a battery sags
+    for inputs in dict.fromkeys((*((j,) for j in range(samples.nu)), tuple(range(samples.nu)))):
+        moved = gains[:, :, inputs].sum(axis=2)
+        for jumps, left in jumps_of(slopes, moved[:, :, np.newaxis]):
+            errors = _errors(slopes, left)
+            gain = float(n_eff @ np.log(before / mean_square(errors))) - price * len(jumps)
+            coloured = coloured_power(errors)
+            i = int(np.argmax(noisy - coloured))
+            if gain > worth and coloured[i] < _LEFT * noisy[i]:
+                at = np.sort([end for _, _, end in jumps])
+                worth, (spread, back) = gain, _spread(slopes, moved, at)
+                found = Drift(place, 100.0 * float(np.sqrt((noisy - coloured)[i])), inputs=tuple(
+                    InputDrift(names[j], spread, 0.0) for j in inputs), jumps=len(jumps),
+                    span=_span(at) if back else ())
+                best = coloured
+    if not found.cost > NOTED:
+        return Drift()
+    # Of gusts and pushes loads leave as little.
+    loaded = under_loads(slopes, found.jumps, slopes.rows[:, :0])
+    told = loaded.cost < np.inf and np.any(
+        best < _LEFT * coloured_power(_errors(slopes, loaded.errors)))
+    return found if told else Drift()
+
+
+def _span(at: Array) -> tuple[float, ...]:
+    """Return from when to when gains are others than in most of the record, if it is so."""
+    first, last = int(at[0]), int(at[-1])
+    return (first / INSTANTS, last / INSTANTS) if 0 < last - first < INSTANTS / 2 else ()
+
+
+def _errors(slopes: Slopes, errors: Array) -> Residuals:
+    """Return errors over those of one gain as errors over the motion."""
+    size = np.repeat(np.sqrt(slopes.fit.power), slopes.samples.counts.ravel().astype(int))
+    return slopes.in_records(size * errors)
+
+
+def _spread(slopes: Slopes, moved: Array, at: Array) -> tuple[float, bool]:
+    """
+    Return the rms by which a gain that jumps differs from its mean, over what is moved.
+
+    And whether in the end it is what it was.
+    """
+    columns, error = slopes.without(moved[at].T)
+    jumps = np.linalg.lstsq(columns, error, rcond=NOTHING)[0]
+    levels = np.append(0.0, np.cumsum(jumps))
+    gains = levels[
+        np.searchsorted(at, (slopes.shares * INSTANTS).astype(int), side='right')]
+    mean = np.average(gains, weights=moved[0] ** 2)
+    return (float(np.sqrt(np.average((gains - mean) ** 2, weights=moved[0] ** 2))),
+            bool(abs(levels[-1]) < _BACK * np.max(np.abs(levels))))

@@ -15,7 +15,6 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.preparation import is_short, sparse
 from ctsid_core.judge.changed import NOTED
@@ -84,10 +83,11 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
     error = np.delete(e.numbers.error, e.fixed_outputs)
     if not (np.isfinite(e.poles).all() and np.isfinite(error).all()):
         yield Status.UNRELIABLE, Remedy.SIGNALS, Status.UNRELIABLE.value
-    if e.fixed_outputs:
+    if count := len(e.fixed_outputs):
+        fixed = ', '.join(e.output_names[i] for i in e.fixed_outputs)
         yield Status.NO_RESPONSE, Remedy.SIGNALS, (
-            f'{_outputs(e, e.fixed_outputs)} not move within the window; check that the sensor '
-            'works.')
+            f'Output{"s" * (count > 1)} {fixed} do{"es" * (count == 1)} not move within the '
+            'window; check that the sensor works.')
     for one in e.stuck:
         yield Status.NO_RESPONSE, Remedy.PART, (
             f'Output {e.output_names[one.output]} keeps exactly the same value '
@@ -344,11 +344,6 @@ def _percent(part: float) -> str:
     return f'{_about(100 * part)} %' if part <= 1.0 else 'more than 100 %'
 
 
-def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution: float) -> float:
-    """Return the largest deviation over size; see `Verdict.pole_uncertainty`."""
-    return float(np.max(deviation / np.maximum(np.abs(poles), resolution), initial=0.0))
-
-
 def _summary(e: Evidence) -> str:
     deviation = max(x.uncertainty for x in e.numbers.excitation)
     held = np.nanmax(e.numbers.held_out_error, initial=-np.inf)
@@ -378,11 +373,6 @@ def _within(e: Evidence) -> str:
 
 def _listed(names: tuple[str, ...]) -> str:
     return ', '.join(names) if len(names) < 5 else f'{len(names)} signals'
-
-
-def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
-    listed = ', '.join(e.output_names[i] for i in places)
-    return f'Outputs {listed} do' if len(places) > 1 else f'Output {listed} does'
 
 
 def unusable_estimate(status: Status, record: Record, settings: Settings,

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctsid_core.judge.curve import MOST
+from ctsid_core.judge.curve import MOST, curves_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, Residuals, fit_states, jacobian
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.output_error import Fit, Free, fit_states, jacobian
+from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.least_squares import basis_of
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array, Mask, Places
 
 SEARCHED = 1200       # samples of a stream that are looked at
 
@@ -26,7 +26,7 @@ Own = tuple[ModalModel, Free]              # a model, and what is free in it
 class Left(NamedTuple):
     """What columns leave of the errors, each output of each record over its rms before."""
 
-    errors: list[Array]
+    errors: Array           # (N,); none if there are too many columns
     power: Array
     numbers: int            # of columns that tell something
     cost: float             # -2 log likelihood, and one for each of them
@@ -42,9 +42,12 @@ class Slopes:
     states: Mask            # (k,): columns of initial states and trims
     shares: Array           # (N,): when, as a part of the recording
     delays: Mask            # (k,): columns of dead times
-    records: Array          # (N,): of which record
-    counts: Array           # samples of each output of each record
     samples: Samples
+
+    @property
+    def edges(self) -> Places:
+        """Where errors of an output of a record end, and those of the next one begin."""
+        return np.cumsum(self.samples.counts.ravel().astype(int))[:-1]
 
     @property
     def rest(self) -> Array:
@@ -71,9 +74,8 @@ class Slopes:
         """
         count, k = self.rows.shape
         if k + more.shape[1] + sum(one.shape[1] for one in blocks) > MOST * count:
-            return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        (basis, error), own = self._without, list[Array]()
-        edges, left = np.cumsum(self.counts.astype(int))[:-1], more
+            return Left(np.empty(0), np.full(self.samples.counts.size, np.inf), 0, np.inf)
+        (basis, error), own, left = self._without, list[Array](), more
         for one in blocks:
             self.samples.effort.spend(0.6 * one.size * one.shape[1])
             tells = one.shape[1] <= MOST * len(one)         # more explain any of so few samples
@@ -81,7 +83,7 @@ class Slopes:
         if blocks:
             self.samples.effort.spend(0.6 * self.rows.size * k)
             rows, error, left = (x.copy() for x in (self.rows, self.error, more))
-            parts = np.split(np.arange(count), edges)
+            parts = np.split(np.arange(count), self.edges)
             for i, Q in enumerate(own):
                 at = np.concatenate(parts[i::self.samples.ny])
                 for x in (rows, error, left):
@@ -91,9 +93,25 @@ class Slopes:
         self.samples.effort.spend(0.6 * count * more.shape[1] * (2 * k + more.shape[1]))
         further = basis_of(left, basis, more)
         numbers = sum(Q.shape[1] for Q in (*own, basis, further))
-        errors = np.split(error - further @ (further.T @ error), edges)
-        power = np.maximum([float(e @ e) / max(len(e), 1) for e in errors], 1e-300)
-        return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
+        errors = error - further @ (further.T @ error)
+        power = np.maximum([float(e @ e) / max(len(e), 1)
+                            for e in np.split(errors, self.edges)], 1e-300)
+        cost = float(self.samples.counts.ravel() @ np.log(power)) + numbers
+        return Left(errors, power, numbers, cost)
+
+    def curved(self, common: Array | None = None) -> Left:
+        """Return what curves leave, and common columns beside them."""
+        return self.beside(self.rows[:, :0] if common is None else common,
+                           curves_of(self.samples, self.fit))
+
+    def in_records(self, errors: Array) -> Residuals:
+        """Return errors of each output of each record, one after another, (N,), as residuals."""
+        parts, ny = np.split(errors[:, np.newaxis], self.edges), self.samples.ny
+        return tuple(tuple(parts[k:k + ny]) for k in range(0, len(parts), ny))
+
+    def power(self, left: Left) -> Array:
+        """Return the mean square of what is left of each output, over the motion, (ny,)."""
+        return self.samples.mean(left.power.reshape(-1, self.samples.ny) * self.fit.power)
 
     def without(self, more: Array, common: Array | None = None) -> tuple[Array, Array]:
         """
@@ -122,11 +140,6 @@ def only(samples: Samples, place: int) -> Samples:
         r for r in samples.records if r.recording == number and r.end > r.start))
 
 
-def in_records(errors: Sequence[Array], samples: Samples) -> Residuals:
-    """Return errors of each output of each record, one after another, (N, 1), as residuals."""
-    return tuple(tuple(errors[k:k + samples.ny]) for k in range(0, len(errors), samples.ny))
-
-
 def slopes_of(samples: Samples, own: Own) -> Slopes:
     """Return what may change the simulation of each sample of these records."""
     model, free = own
@@ -138,7 +151,4 @@ def slopes_of(samples: Samples, own: Own) -> Slopes:
               for start, end in [r.span] for s in r.streams for _ in range(s.y.shape[1])]
     states, delays = (places.are(which, samples.ny, len(samples.records), free.trim)
                       for which in ('xt', 'd'))
-    return Slopes(
-        fit, rows, error, states, np.concatenate(shares), delays,
-        np.repeat(np.arange(len(samples.records)), samples.counts.sum(axis=1).astype(int)),
-        np.array([len(times) for times in shares]), samples)
+    return Slopes(fit, rows, error, states, np.concatenate(shares), delays, samples)

@@ -1,19 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Oscillations that last and that inputs hardly move: what disturbs the plant does.
+What a model explains of outputs that inputs do not move: rounding, and oscillations that last.
+
+Rounding to a step q moves an output by q^2 / 12 in the mean square (Widrow and Kollar,
+Quantization Noise, 2008). As long as it is another one at every sample it is noise like any other;
+of inputs that repeat, and at rest, it repeats, too, and states are found that explain it. A model
+that misses less than rounding moves does that: how the output itself moves is known no better.
 
 Hum, a vibration, waves: what lasts is explained by an initial state, and its samples by two states
-of the model. If inputs move these by less than what the model misses, nothing tells that they do.
+of the model. If inputs move these by less than what the model misses, nothing tells that they do:
+what disturbs the plant does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ctsid_core.judge.excitation import rivals_apart
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.linear.types import Array
 from ctsid_core.search.solution import GROWS, Solution
+from ctsid_core.search.tried import ENOUGH
+from ctsid_core.signals.still import least
+
+_DEVIATIONS = 2.0     # of the power of rounding, by which less is no chance
+
+
+def rounding(solution: Solution) -> Array:
+    """Return what a model follows of the rounding of each output, over its motion, (ny,)."""
+    samples, fit = solution.samples, solution.fit
+    if solution.by_prediction:
+        return np.zeros(samples.ny)
+    counts, moved = samples.counts.sum(axis=0), (_steps(solution) / samples.size) ** 2 / 12.0
+    # By chance it is more or less: of rounding the mean of N squares has a deviation of
+    # sqrt(0.8 / N).
+    left = moved - samples.mean(fit.power)
+    told = (left > _DEVIATIONS * np.sqrt(0.8 / np.maximum(counts, 1.0)) * moved) & (
+        left > ENOUGH ** 2)
+    return np.sqrt(np.where(told, left, 0.0))
+
+
+def beside_rounding(solution: Solution, followed: Array,
+                    sought: tuple[bool, ...]) -> list[tuple[float, ModalModel]]:
+    """
+    Return models with other gains, and other dead times, that are as far away as that.
+
+    `sought`: of which moving inputs the dead time was looked for.
+    """
+    if not followed.any():
+        return []
+    samples, m, more = solution.samples, solution.fit.model, 1.0 + followed[:, np.newaxis]
+    gains, late = replace(m, c=more * m.c, D=more * m.D), m.delay + samples.interval
+    # As far as the gains are for each input; a dead time that is given is known.
+    far, away = (rivals_apart(samples, m, [(1.0, one)])
+                 for one in (gains, replace(m, delay=late)))
+    late = np.minimum(m.delay + samples.interval * far / np.maximum(away, 1e-300),
+                      np.maximum(solution.free.longest, m.delay))
+    return [(0.5, gains), (0.5, replace(m, delay=np.where(
+        sought or False, late, m.delay)))]
+
+
+def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
+    """Yield which outputs have so few values, and what to do."""
+    if not followed.any():
+        return
+    last = solution.part.parts[solution.part.last]
+    for place, step, share in zip(last.y, _steps(solution), followed, strict=True):
+        if share:
+            yield (f'output {last.whole.output_names[place]} is measured in steps of {step:.3g}, '
+                   'and the model follows these steps: the motion between them is known to '
+                   f'{100.0 * share:.2g} % of all; move inputs more, or less regularly, or '
+                   'measure it more finely')
+
+
+def _steps(solution: Solution) -> Array:
+    """Return the smallest step of each moving output from one sample to the next; 0 if none."""
+    found = np.min([np.concatenate([
+        least(np.diff(s.values[s.rows(part.record.start, part.record.end)], axis=0))
+        for s in part.record.outputs]) for part in solution.part.parts], axis=0)
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def unmoved_notes(solution: Solution) -> Iterator[str]:

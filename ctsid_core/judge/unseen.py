@@ -34,16 +34,9 @@ def failure(estimate: Estimate, found: Validation, record: Record, *, partly: bo
     """
     Return which outputs a model explains as badly as a part held out must not be, or nothing.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Of the model.
-    found : Validation
-        What it makes of data that it has not seen, see `as_judged`.
-    record : Record
-        Of whose motion the errors are parts: of all that is known of the plant's.
-    partly : bool
-        Whether parts of it are what the model was identified from.
+    `found` is what it makes of data that it has not seen, see `as_judged`. Errors are parts of the
+    motion of a record: of all that is known of the plant's. `partly`: the model was identified
+    from parts of it.
     """
     motion = np.concatenate([s.values.std(axis=0) for s in record.outputs])
     told = []

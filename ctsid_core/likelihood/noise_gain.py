@@ -24,8 +24,8 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.output_error import Fit, Residuals
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.output_error import Fit
+from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrix_functions import chain, exponentials, led_through
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices

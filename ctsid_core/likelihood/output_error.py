@@ -29,7 +29,7 @@ from scipy.linalg.lapack import dgesv
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
 from ctsid_core.likelihood.pole_steps import PoleSteps, canonical, ranks_of
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 
@@ -42,9 +42,6 @@ _FEWER = 20           # ... and of a climb of a search
 _DAMPING = 1e-2       # of the first step
 _LEAST_DAMPING = 1e-9
 _AT_BOUND = 1.0 - 1e-9
-
-
-Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
-from ctsid_core.likelihood.output_error import Fit, Residuals, errors_of
-from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.likelihood.output_error import Fit, errors_of
+from ctsid_core.likelihood.samples import RecordSamples, Residuals, Samples
 from ctsid_core.linear.types import Array
 
 _SMALL = 0.05         # autocorrelation below which the sum over lags ends

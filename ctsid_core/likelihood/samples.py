@@ -17,6 +17,7 @@ from ctsid_core.model.modal import Drive
 from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
+Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
 _DRIVES: WeakKeyDictionary[Signal, Drive] = WeakKeyDictionary()
 
 

@@ -75,33 +75,21 @@ class Covariance:
     """
     The covariance of a model's entries; equal (==) if all numbers are.
 
-    Parameters
-    ----------
-    root : ndarray, shape (r, p)
-        root^T root is the covariance of the entries of A, B, C and D, row by row, and of one dead
-        time per input: p = n n + n nu + ny n + ny nu + nu. Zero columns belong to entries that
-        were not estimated (constant channels, D or dead times that are given).
-    n, nu, ny : int
-        Number of states, inputs and outputs.
-    rivals : tuple of Rival
-        Models that gains, responses and dead times may be those of; none: no other was tried.
+    root^T root is that of the entries of A, B, C and D, row by row, and of one dead time per
+    input: p = n n + n nu + ny n + ny nu + nu. Zero columns belong to entries that were not
+    estimated (constant channels, D or dead times that are given). The data say nothing of the
+    states, so directions that change nothing but these are of no length: single entries are known
+    as well as those of models in the nearest states.
 
-    Raises
-    ------
-    DataError
-        If the shape of the root does not fit, an entry is not finite, or a rival is of other
-        inputs and outputs.
-
-    Notes
-    -----
-    The data say nothing of the states, so directions that change nothing but these are of no
-    length: single entries are known as well as those of models in the nearest states.
+    Raises `DataError` if the shape of the root does not fit, an entry is not finite, or a rival is
+    of other inputs and outputs.
     """
 
-    root: Array
-    n: int
+    root: Array  # (r, p)
+    n: int       # number of states, inputs and outputs
     nu: int
     ny: int
+    # Models that gains, responses and dead times may be those of; none: no other was tried
     rivals: tuple[Rival, ...] = ()
 
     def __post_init__(self) -> None:

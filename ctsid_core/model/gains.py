@@ -47,26 +47,13 @@ _NOTHING = 0.1      # of the largest response: a gain known to less is known
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """
-    What a constant input does to each output, in the end.
+    """What a constant input does to each output, in the end; NaN where that is not known."""
 
-    Parameters
-    ----------
-    value, std : ndarray, shape (ny, nu)
-        Gains, or rates [1/s] where `rate` says so, with standard deviations; NaN: not known.
-    rate : ndarray of bool, shape (ny, nu)
-        Whether the output moves on, by `value` in a second for each unit of the input.
-    pole : float
-        Of the mode that integrates [rad/s], 0 as far as is known; NaN if there is none.
-    vague : bool
-        Whether of one the standard deviation is larger than itself and than what the response is
-        elsewhere.
-    """
-
-    value: Array
-    std: Array
-    rate: Mask
-    pole: float = math.nan
+    value: Array    # (ny, nu): gains, or rates [1/s] where `rate` says so
+    std: Array      # (ny, nu): their standard deviations
+    rate: Mask      # (ny, nu): whether outputs move on, by so much a second for each input unit
+    pole: float = math.nan  # of the mode that integrates [rad/s], 0 as far as is known; or NaN
+    # Whether one is less sure than it is large, and than the response is large elsewhere
     vague: bool = False
 
 

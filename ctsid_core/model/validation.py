@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -122,18 +122,9 @@ def simulation(model: StateSpace, record: Record, *,
     have the state at the start, and the offsets of the part with most samples. It begins where it
     is known where ramps and gears of the actuators are.
 
-    Parameters
-    ----------
-    model : StateSpace
-    record : Record
-    trim : {'model', 'refit'}
-        Offsets of the outputs: the model's, or fitted to this record on top of them (if the
-        robot may have been trimmed otherwise).
-
-    Raises
-    ------
-    DataError
-        If the record's channels do not fit the model, or an option is unknown.
+    Offsets of the outputs (`trim`) are the model's, or fitted to this record on top of them:
+    'refit', if the robot may have been trimmed otherwise. Raises `DataError` if the record's
+    channels do not fit the model, or an option is unknown.
     """
     if trim not in ('model', 'refit'):
         raise DataError(f'`trim` is {trim!r}; choose model or refit')
@@ -147,15 +138,7 @@ def simulation(model: StateSpace, record: Record, *,
                       vaf=vaf(y, y_hat), offset=max(parts, key=lambda p: len(p.times)).offset)
 
 
-class _Simulated(NamedTuple):
-    times: Array
-    y: Array
-    y_hat: Array
-    x0: Array
-    offset: Array | float
-
-
-def _simulation(model: StateSpace, record: Record, trim: str) -> _Simulated:
+def _simulation(model: StateSpace, record: Record, trim: str) -> Validation:
     """Simulate a record without pauses, or a part between them."""
     times, y, _ = _samples(model, record)
     y_hat, x0 = _respond(model, record, times)
@@ -172,7 +155,8 @@ def _simulation(model: StateSpace, record: Record, trim: str) -> _Simulated:
             y_hat, x0 = y_hat + columns @ found, x0 + states @ found
         offset = found[-model.ny:] if trim == 'refit' else 0.0
         y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
-    return _Simulated(times, y, y_hat, x0, offset)
+    return Validation(times=times, y=y, y_hat=y_hat, fit=fit(y, y_hat), vaf=vaf(y, y_hat), x0=x0,
+                      offset=offset)
 
 
 def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:

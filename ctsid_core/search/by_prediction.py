@@ -38,7 +38,7 @@ from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCHED, affordable, nearest
-from ctsid_core.search.needless import without_needless
+from ctsid_core.search.direct import without_needless
 from ctsid_core.search.own_past import (
     HORIZONS,
     Lost,

@@ -24,7 +24,7 @@ TIMEOUTS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)      # to begin w
 _VALUES = {           # and of the largest command, and of the range of all
     'timeout': TIMEOUTS, 'dead_zone': (0.06, 0.15, 0.3, 0.5),
     'limit': (0.9, 0.7, 0.5, 0.3, 0.2),
-    'backlash': (0.06, 0.15, 0.35), 'rate_limit': ()}
+    'backlash': (0.06, 0.15, 0.35)}
 _RATES, _SLOWEST, _FASTEST = 8, 8.0, 0.9    # so many rates, from 8 deviations of the command over
                                             # the length to this part of its fastest change
 _WORK = 5e3           # of computing what acts, for each sample of an input

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What a model says of corrupt samples: which stand out of its errors, and which it explains.
+What a model says of corrupt samples, and of commands that were lost.
 
-Neighbours (`signals/spikes.py`) do not know the inputs: where these jump, an output may bend as
-well, or all but jump.
+Which samples stand out of its errors, and which it explains: neighbours (`signals/spikes.py`) do
+not know the inputs; where these jump, an output may bend as well, or all but jump.
+
+And, of held inputs that fall silent, whether what they were sent last went on. A stick, keys and
+goals are sent when they change, or while they do, and robots hold what was sent last. Where a
+recorder has lost a topic the model errs while it is silent.
 """
 
 from __future__ import annotations
@@ -20,13 +24,15 @@ from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import mean_square, residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.linear.types import Array, Mask
-from ctsid_core.search.solution import Solution
+from ctsid_core.search.solution import TIMEOUT, Solution
 from ctsid_core.search.task import corrupt_rows
-from ctsid_core.search.tried import SEARCH
-from ctsid_core.signals.outliers import spikes
-from ctsid_core.signals.spikes import MAD, SURE
+from ctsid_core.search.tried import SEARCH, tried
+from ctsid_core.settings import Settings
+from ctsid_core.signals.gaps import FEWEST, silences
+from ctsid_core.signals.spikes import MAD, SURE, spikes
 
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
+_MORE = 1.5           # times the error elsewhere: what was sent last did not go on
 
 
 def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
@@ -147,3 +153,40 @@ def _differ(parts: Sequence[Usable], part: Joint) -> bool:
     return any(new.too_many != old.too_many or (new.mask != old.mask).any()
                for p, q in zip(parts, part.parts, strict=True)
                for new, old in zip(p.corrupt_y, q.corrupt_y, strict=True))
+
+
+def of_lost_inputs(solution: Solution, settings: Settings,
+                   again: Callable[[Settings, bool], Solution | None]) -> Solution:
+    """
+    Return the model of records that are divided where commands are lost, if it is the better one.
+
+    `again` identifies the records with other settings, and divided. What was sent last went on, as
+    far as what acts of it says, unless the model errs clearly more there.
+    """
+    if not _lost_inputs(solution):
+        return solution
+    given = settings.with_actuators(solution.settings.actuators(
+        solution.part.parts[0].whole.nu))
+    divided = [again(each, True) for each in dict.fromkeys((settings, given))]
+    _, found = min(((tried(*one.simulated).unexplained, one) for one in divided
+                    if one and one.simulated), key=lambda own: own[0], default=(0.0, solution))
+    doubt = solution.doubt if solution.doubt and TIMEOUT in solution.doubt[1] else found.doubt
+    return replace(found, doubt=doubt, deviations=solution.deviations)
+
+
+def _lost_inputs(solution: Solution) -> bool:
+    """Return whether the model errs clearly more where held inputs are silent than elsewhere."""
+    silent = [silences(own.whole) for own in solution.part.parts]
+    if not any(silent):
+        return False
+    samples, fit, _ = solution.simulated or solution.source
+    inside, elsewhere = np.zeros(2), np.zeros(2)
+    for spans, record, own in zip(silent, samples.records, residuals(samples, fit), strict=True):
+        for s, errors in zip(record.streams, own, strict=True):
+            within = np.any([(a < s.times) & (s.times < b) for a, b in spans], axis=0) \
+                if spans else np.zeros(len(s.times), dtype=bool)
+            for rows, found in ((within, inside), (~within, elsewhere)):
+                found += np.sum(errors[rows] ** 2), np.sum(rows) * errors.shape[1]
+    if min(inside[1], elsewhere[1]) < FEWEST:
+        return False
+    return bool(inside[0] / inside[1] > _MORE ** 2 * elsewhere[0] / elsewhere[1])

@@ -33,7 +33,6 @@ _FEW = 5                    # samples before and after a gap, that tell what is 
 _SAME = 1e-9                # of a record, by which even stamps are rounded
 _RULE = 0.5                 # of the samples around that come after gaps: it is another rate
 
-
 Lost = list[list[Mask]]      # rows of the own past that were lost, of each record and stream
 
 

@@ -32,7 +32,6 @@ DIRECT = 'feedthrough: true'
 OTHER_HOLD = '.hold: '  # after the name of an input, before what it should be
 TIMEOUT = '.timeout: '  # the same
 
-
 GROWS = 1.0           # times e within the record: less does not tell a plant that grows
 NEARLY = 0.95         # of a bound: what is near it stands in for more
 
@@ -124,17 +123,17 @@ def used(task: Task, order: int, delay: Array) -> Settings:
 def table_of(found: dict[int, Tried], chosen: Tried,
              settings: Settings) -> tuple[OrderTried, ...]:
     """Return the orders among which was chosen; none if it was given."""
-    return () if settings.order else tuple(
-        _order_row(one, chosen, n) for n, one in sorted(found.items()))
-
-
-def _order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
-    """Return a row of the table of orders: all by the independent samples of the chosen one."""
-    n_eff = max(float(np.min(chosen.independent)), 2.0)
-    power = one.power / np.maximum(chosen.power, 1e-300)
-    price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
-    return OrderTried(n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
-                      100.0 * (1.0 - float(np.sqrt(np.max(one.power)))))
+    if settings.order:
+        return ()
+    # All by the independent samples of the chosen one
+    n_eff, rows = max(float(np.min(chosen.independent)), 2.0), []
+    for n, one in sorted(found.items()):
+        power = one.power / np.maximum(chosen.power, 1e-300)
+        price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
+        rows.append(OrderTried(
+            n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
+            100.0 * (1.0 - float(np.sqrt(np.max(one.power))))))
+    return tuple(rows)
 
 
 def at_bound(fit: Fit, free: Free) -> tuple[str, ...]:

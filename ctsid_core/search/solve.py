@@ -15,21 +15,11 @@ from ctsid_core.model.estimate import Choice
 from ctsid_core.search.by_order import SEARCHED, affordable, search_orders
 from ctsid_core.search.by_prediction import PredictionFit
 from ctsid_core.search.corrupt import without_outliers
-from ctsid_core.search.direct import centred, doubt_of_direct, with_direct
-from ctsid_core.search.doubts import doubt_of_delays, doubt_of_hold, doubt_of_order
+from ctsid_core.search.direct import centred, doubt_of_direct, with_direct, without_needless
+from ctsid_core.search.doubts import doubt_of_delays, doubt_of_hold, doubt_of_order, doubt_of_size
 from ctsid_core.search.drifting import free_with_time, mean_of
-from ctsid_core.search.needless import without_needless
 from ctsid_core.search.plants import as_likely, disturbed, growth_of, likelier, predicted
-from ctsid_core.search.solution import (
-    ANY_ORDER,
-    GROWS,
-    Doubt,
-    Solution,
-    at_bound,
-    left_out,
-    table_of,
-    used,
-)
+from ctsid_core.search.solution import GROWS, Doubt, Solution, at_bound, left_out, table_of, used
 from ctsid_core.search.subspace_poles import Subspace
 from ctsid_core.search.task import Task, samples_of_part
 from ctsid_core.search.tried import (
@@ -204,7 +194,7 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
 
     Or the plant that predictions found, if what `disturbs` it is why they do better.
     """
-    doubt = doubt or _needless_states(task, one)
+    doubt = doubt or doubt_of_size(task, one.found)
     samples, found = one.samples, one.found
     reached = climbed(samples, one.best, one.free)
     best, free = without_needless(samples, reached, one.free, LEAST)
@@ -233,15 +223,6 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
         smaller=smaller, drifting=drifting, drifts=drifts,
         rivals=shares_of([(gain, other.fit.model) for gain, other in one.others]),
         singular_values=values, condition=condition)
-
-
-def _needless_states(task: Task, one: _Searched) -> Doubt | None:
-    """Return that fewer states than are given explain as much, and the setting."""
-    given = task.settings.order
-    fewer = choose(one.found) if given else 0
-    return None if fewer == given else (
-        f'{fewer} state{"s explain" if fewer > 1 else " explains"} as much as the {given} that '
-        'are given', ANY_ORDER)
 
 
 def _where_known(task: Task, samples: Samples, found: dict[int, Tried],

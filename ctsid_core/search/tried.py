@@ -29,17 +29,9 @@ import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING
-from ctsid_core.likelihood.output_error import (
-    STEPS,
-    Fit,
-    Free,
-    Residuals,
-    climb,
-    climb_roughly,
-    fit_at,
-)
+from ctsid_core.likelihood.output_error import STEPS, Fit, Free, climb, climb_roughly, fit_at
 from ctsid_core.likelihood.residuals import coloured_costs, coloured_power, independent, residuals
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken

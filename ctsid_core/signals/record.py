@@ -246,10 +246,10 @@ class Record:
             outputs=tuple(s.between(start, end) for s in self.outputs))
 
 
-def with_each(record: Record, change: Callable[[Signal, tuple[str, ...]], tuple[Signal, str]]
-              ) -> tuple[Record, tuple[str, ...]]:
+def with_each(record: Record, change: Callable[[Signal, tuple[str, ...]], tuple[Signal, str]],
+              *, outputs_alone: bool = False) -> tuple[Record, tuple[str, ...]]:
     """
-    Return a record with every signal changed, and a sentence on each that was.
+    Return a record with every signal, or every output, changed, and a sentence on each that was.
 
     `change` takes a signal and the names of its channels, and returns what it becomes and the
     sentence; an empty one if it is as before. If all are, so is the record.
@@ -261,8 +261,8 @@ def with_each(record: Record, change: Callable[[Signal, tuple[str, ...]], tuple[
             signals, channel_slices(signals), strict=True)]
         notes.extend(note for _, note in found if note)
         return tuple(signal for signal, _ in found)
-    inputs, outputs = (of(record.inputs, record.input_names),
-                       of(record.outputs, record.output_names))
+    inputs = record.inputs if outputs_alone else of(record.inputs, record.input_names)
+    outputs = of(record.outputs, record.output_names)
     return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
 
 

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Spikes in one channel: single samples or short bursts that are far off, and no honest motion.
+Spikes: single samples or short bursts that are far off, and no honest motion.
 
 A sample is compared with what its neighbours predict (a cubic through two on either side, at the
 ends of a record the nearest four, over their own stamps) or, where that scatters less, with the
-median. Whatever lies beyond some robust
-standard deviations is a suspect. Runs of suspects are judged by a polynomial through the good
-samples on both sides: it must pass these much closer than the suspects, the run must stand out at
-its edges, and without it nothing may stand out any more. A step, a kink or a fast motion fails
-there by itself, because no smooth curve joins its two sides. At the ends there is one side only:
-there a few samples that move as nothing else in the record does are corrupt.
+median. Whatever lies beyond some robust standard deviations is a suspect. Runs of suspects are
+judged by a polynomial through the good samples on both sides: it must pass these much closer than
+the suspects, the run must stand out at its edges, and without it nothing may stand out any more. A
+step, a kink or a fast motion fails there by itself, because no smooth curve joins its two sides.
+At the ends there is one side only: there a few samples that move as nothing else in the record
+does are corrupt.
+
+Places of corrupt samples are bridged: their values are not used, but their stamps stay, so that
+the other samples are interpolated and weighted as they would be without.
 
 Sources: the median absolute deviation and its use against spikes are Hampel's (1974), J. American
 Statistical Association 69; a test against a fit without the suspects is that of Barnett and Lewis,
@@ -19,15 +22,18 @@ of Mathematical Statistics 35.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ctsid_core.linear.types import Array, Mask, Places
+from ctsid_core.signals.record import Record, Signal
 
-MOST = 0.05             # part of a channel's samples beyond which they are not 'a few'
+_FEWEST = 50            # samples of a channel that is looked at
+_MOST = 0.05            # part of a channel's samples beyond which they are not 'a few'
 SURE = 6.0              # robust standard deviations off the curve beyond which samples are bad
+SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest
 _SUSPECT = 5.0          # the same from which on a sample is suspected
 _PERHAPS = 3.5          # the same if there is another reason to look closer
 _LONGEST = 24           # samples of a run of suspects
@@ -48,11 +54,101 @@ _STILL = 0.25           # part of differences that vanish, beyond which the othe
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class Spikes:
+    """Corrupt samples of one signal."""
+
+    mask: Mask      # (N, m): which samples are corrupt
+    instead: Array  # (N, m): the values, with corrupt samples bridged from their neighbours
+    off: Array      # (N, m): the values less these
+    # channels with so many far samples that none was taken for corrupt
+    too_many: tuple[int, ...] = ()
+
+    @property
+    def any(self) -> bool:
+        """Whether there are corrupt samples."""
+        return bool(self.mask.any())
+
+
+def no_spikes(values: Array) -> Spikes:
+    """Return that no sample is corrupt."""
+    return Spikes(np.zeros(values.shape, dtype=bool), values, np.zeros(values.shape))
+
+
+def spikes(time: Array, values: Array, sure: float = SURE, *,
+           inputs: Array | None = None, closely: bool = False,
+           check: Callable[[], None] = lambda: None) -> Spikes:
+    """
+    Find the corrupt samples of channels (N, m) that share their increasing stamps (N,).
+
+    They lie beyond `sure` robust standard deviations; `inputs` (N, nu) are held ones, that
+    channels may follow at once; `closely`: look for small bursts even if no sample stands out;
+    `check` is called often. Of white Gaussian noise with 10000 samples, about one record in 170
+    has a suspect; it then has to pass the judgement, too.
+    """
+    if len(time) < _FEWEST:
+        return no_spikes(values)
+    mask = np.zeros(values.shape, dtype=bool)
+    weights = _weights_of(time)
+    too_many, instead = [], values
+    for j, row in enumerate(np.ascontiguousarray(values.T)):
+        check()
+        stands_out = _standing_out(*_distance(row, weights), sure)
+        direct = np.zeros_like(row)
+        if stands_out and inputs is not None and inputs.shape[1]:
+            direct = _followed(row, inputs, weights)
+            stands_out = _standing_out(*_distance(row - direct, weights), sure)
+        if not (stands_out or closely):
+            continue
+        found, filled = _find(_Channel(time, weights, sure, _resolution(row)), row - direct, check)
+        if np.count_nonzero(found) > _MOST * len(row):
+            too_many.append(j)
+        elif found.any():
+            instead = instead.copy() if instead is values else instead
+            mask[:, j] = found
+            instead[:, j] = np.where(found, filled + direct, row)
+    return Spikes(mask, instead, values - instead, tuple(too_many))
+
+
+def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
+           record: Record) -> tuple[list[str], dict[str, float]]:
+    """
+    Return sentences on which samples of which channels are corrupt, and their numbers.
+
+    Numbers by 'corrupt_samples.' and the name. `kind` is 'input' or 'output', `names` are of all
+    channels. Samples within the interval of the record count; times are from its start.
+    """
+    notes, counts, rest = [], {}, iter(names)
+    held = '; if it is a command that is held, set its `hold: zoh`'
+    for signal, spiky in zip(signals, found, strict=True):
+        inside = signal.rows(record.start, record.end)
+        times = signal.time[inside] - record.start
+        for j, name in zip(range(signal.width), rest, strict=False):
+            bad = spiky.mask[inside, j]
+            if bad.any():
+                counts[f'corrupt_samples.{name}'] = float(np.count_nonzero(bad))
+                notes.append(f'{kind} {name}: {np.count_nonzero(bad)} of {len(bad)} samples '
+                             'stand out of their neighbours or of what the model leaves, as '
+                             'corrupt ones do, and were not used: '
+                             + _places(times[bad]) + held * (kind == 'input'))
+            if j in spiky.too_many:
+                notes.append(f'{kind} {name}: more than {100 * _MOST:g} % of the samples lie far '
+                             'from their neighbours; these are not a few corrupt ones, and all '
+                             'were used')
+    return notes, counts
+
+
+def _places(times: Array) -> str:
+    if len(times) <= 10:
+        return 'at ' + ', '.join(f'{t:.4g}' for t in times) + ' s'
+    return f'between {times[0]:.4g} and {times[-1]:.4g} s'
+
+
+@dataclass(frozen=True, eq=False)
+class _Channel:
     """What judges the samples of one channel."""
 
     time: Array     # (N,)
-    weights: Array  # (4, N), see `weights_of`
+    weights: Array  # (4, N), see `_weights_of`
     sure: float     # robust standard deviations beyond which a sample is corrupt
     least: float    # how far off a corrupt sample is at least
 
@@ -67,7 +163,7 @@ class Channel:
                         _SUSPECT * local, _REST * np.max(np.abs(before / gain))))
 
 
-def standing_out(off: Array, scale: float, white: bool, sure: float) -> bool:
+def _standing_out(off: Array, scale: float, white: bool, sure: float) -> bool:
     """Return whether any sample lies far off for its surroundings."""
     limit = _SUSPECT * sure / SURE
     if not np.max(np.abs(off)) > limit * scale:
@@ -75,13 +171,13 @@ def standing_out(off: Array, scale: float, white: bool, sure: float) -> bool:
     return bool((np.abs(off) > limit * _local(off, scale, white)).any())
 
 
-def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, Array]:
+def _find(channel: _Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, Array]:
     """Return which samples of a channel are corrupt, and the channel without them."""
     bad, filled = np.zeros(len(x), dtype=bool), x.copy()
     for _ in range(_ROUNDS):
         before = np.count_nonzero(bad)
         for apart in _APART:
-            off, scale, white = distance(filled, channel.weights)
+            off, scale, white = _distance(filled, channel.weights)
             local = _local(off, scale, white)
             suspect = (np.abs(off) > _PERHAPS * channel.sure / SURE * local) & ~bad
             # What still stands out beside corrupt samples: were they the wrong ones?
@@ -102,12 +198,12 @@ def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, A
                     filled[wide] = given[wide]
                     bad[run] |= far
                     filled[run] = np.where(far, without, filled[run])
-        if np.count_nonzero(bad) == before or np.count_nonzero(bad) > MOST * len(x):
+        if np.count_nonzero(bad) == before or np.count_nonzero(bad) > _MOST * len(x):
             break
     return bad, filled
 
 
-def weights_of(t: Array) -> Array:
+def _weights_of(t: Array) -> Array:
     """Return what predicts a sample from the four nearest ones: Lagrange's cubic, (4, N)."""
     own = np.arange(len(t))
     a, b, c, d = t[_nearest(own, len(t))] - t
@@ -135,7 +231,7 @@ def _gain(weights: Array) -> Array:
     return np.asarray(np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights)))
 
 
-def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
+def _distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
     """
     Return how far each sample lies off, the robust scale of this, and whether noise is white.
 
@@ -172,7 +268,7 @@ def _local(off: Array, scale: float, white: bool) -> Array:
     return np.repeat(largest, width + (np.arange(count) < longer))
 
 
-def followed(x: Array, inputs: Array, weights: Array) -> Array:
+def _followed(x: Array, inputs: Array, weights: Array) -> Array:
     """
     Return what of a channel follows inputs at once, and jumps as they do.
 
@@ -191,7 +287,7 @@ def followed(x: Array, inputs: Array, weights: Array) -> Array:
     return np.asarray(inputs @ found)
 
 
-def resolution(x: Array) -> float:
+def _resolution(x: Array) -> float:
     """Return three usual changes of a channel that is held or quantised; 0 of any other."""
     change = np.abs(np.diff(x))
     moving = change[change > 0.0]
@@ -218,7 +314,7 @@ def _hypotheses(first: int, last: int, count: int) -> list[slice]:
     return runs
 
 
-def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
+def _judge(channel: _Channel, x: Array, run: slice, good: Mask, local: Array,
            white: bool) -> tuple[float, slice, Mask, Array] | None:
     """
     Compare a run with a curve through the good samples beside it; None if none is corrupt.

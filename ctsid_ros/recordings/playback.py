@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ctsid_core.bases.preparation import as_measured
+from ctsid_core.signals.as_measured import as_measured
 from ctsid_core.signals.record import Record
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.block import Block

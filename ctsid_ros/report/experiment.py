@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 
-from ctsid_core.advice.advice import Advice, PoleAdvice
-from ctsid_core.advice.forecast import Band
+from ctsid_core.advice.advice import Advice, Band, PoleAdvice
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Remedy
 from ctsid_ros.report.document import Bullets, Section
