@@ -15,7 +15,6 @@ from ctsid_core.effort import Effort
 from ctsid_core.judge.acting import explained_best
 from ctsid_core.judge.conclusion import conclude
 from ctsid_core.judge.cross_check import cross_checked
-from ctsid_core.judge.feedback import in_loop
 from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
@@ -30,6 +29,7 @@ from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import as_acting, settled
 from ctsid_core.signals.as_measured import as_measured
+from ctsid_core.signals.loop import in_loop
 from ctsid_core.signals.record import Record
 from ctsid_core.subspace.methods import METHODS
 

@@ -12,7 +12,6 @@ from plants import LINEAR, held_response, noisy, plant
 import pytest
 
 from ctsid_core.identify import identify
-from ctsid_core.judge.feedback import in_loop
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import Grade, Remedy
@@ -20,6 +19,7 @@ from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import acting, as_acting, in_words, settled
 from ctsid_core.signals.gaps import between_pauses
+from ctsid_core.signals.loop import in_loop
 from ctsid_core.signals.record import Record, Signal
 
 PLANT = plant([[0.0, 1.0], [-16.0, -4.8]], [[0.0], [16.0]], [[1.0, 0.0]])

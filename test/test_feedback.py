@@ -13,8 +13,9 @@ from scipy.linalg import expm
 from scipy.signal import butter, filtfilt
 
 from ctsid_core import Grade, Record, Settings, StateSpace, identify
-from ctsid_core.judge.feedback import distance_to_controller, hears, in_loop
+from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.model.verdict import Excitation
+from ctsid_core.signals.loop import hears, in_loop
 
 
 def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: float = -2.0,

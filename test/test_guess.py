@@ -405,7 +405,7 @@ def test_what_is_no_further_command_is_not_told(tmp_path, name, share, make):
     with open_bag(tmp_path / 'run.csv') as bag:
         ranking = rank(bag, survey(bag))
     of = {c.key[1]: c for c in ranking.found}
-    further, without, share = further_commands([of['throttle_cmd']], of['speed'], ranking)
+    further, without, share, _ = further_commands([of['throttle_cmd']], of['speed'], ranking)
     assert not further
     assert without == share
 

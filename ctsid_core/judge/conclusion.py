@@ -15,7 +15,7 @@ from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs, varying_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
-from ctsid_core.judge.feedback import distance_to_controller, holds, never_rest, stamp_sensitivity
+from ctsid_core.judge.feedback import distance_to_controller, holds, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.rules import NONE, UNCORRELATED, change_note, few_sines, judge, tested
 from ctsid_core.judge.stuck import stuck_outputs
@@ -44,6 +44,7 @@ from ctsid_core.search.solution import DIRECT, GROWS, NEARLY, Doubt, Solution, a
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
+from ctsid_core.signals.loop import never_rest
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 

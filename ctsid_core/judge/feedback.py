@@ -28,30 +28,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from ctsid_core.likelihood.output_error import climb_roughly, fit_at
-from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 from ctsid_core.search.by_prediction import plant_of
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.actuators import unramped
+from ctsid_core.signals.loop import (
+    MOVING,
+    SMOOTH,
+    in_loop,
+    left_alone,
+    outputs_before,
+    regressed_on_past,
+    resting_times,
+)
 from ctsid_core.signals.record import Record, Signal
 
-_PAST = 20            # samples of an input, over which the outputs are looked at
-_EACH = 6             # changes for each number, at least
-_MOST = 5000          # samples of an input that are looked at, the last ones
-_TOLERANCE = 1e-10    # of regressors that depend on each other
-_SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
 _NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
-_MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
-_HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
 _RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
@@ -71,9 +71,9 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
     for row, record in zip(found, records, strict=True):
         j = 0
         for signal in unramped(record.inputs, record.commands):
-            rests = _rests(signal, record) if same_instant else [0.0] * signal.width
+            rests = resting_times(signal, record) if same_instant else [0.0] * signal.width
             for answer, rest in zip(_answers(signal, record, before), rests, strict=True):
-                if answer is not None and rest <= _MOVING * signal.period:
+                if answer is not None and rest <= MOVING * signal.period:
                     row[j] = _distance(answer, signal.period, model, j, excited[j])
                 j += 1
     return np.asarray(found.min(axis=0))
@@ -84,8 +84,8 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
     Return by how much the response changes if outputs were one interval earlier than they are.
 
     One of the inputs, within which commands are computed. The median over the excited band of the
-    change over the response; 0 where outputs may follow inputs at once, and of what simulations
-    found, which stamps hardly change.
+    change over the response; 0 where outputs may follow inputs at once, where no controller is
+    heard, and of what simulations found, which stamps hardly change.
     """
     samples, fit, free = solution.source
     parts, last = solution.part.parts, solution.part.last
@@ -93,6 +93,7 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
     low = min(one.low for one in excited)
     high = min(max(one.high for one in excited), _HIGH * np.pi / step)
     if solution.plant is None or solution.settings.feedthrough or not 0.0 < low < high \
+            or not in_loop([p.record for p in parts]) \
             or samples.effort.leaves_out('whether the model hinges on stamps'):
         return 0.0
     count = len(parts[last].record.inputs)
@@ -114,39 +115,6 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
     return 0.0                                  # nothing is known of it
 
 
-def never_rest(records: Sequence[Record]) -> bool:
-    """Return whether an input moves all the time, as what a controller sends does."""
-    return any(rest <= _MOVING * signal.period for record in records for signal in record.inputs
-               for rest in _rests(signal, record))
-
-
-def in_loop(records: Sequence[Record]) -> bool:
-    """Return whether inputs seem to be a controller's: one never rests, and hears the outputs."""
-    return never_rest(records) and hears(records)
-
-
-def hears(records: Sequence[Record]) -> bool:
-    """
-    Return whether outputs tell more of how an input changes than its own past does, beyond chance.
-
-    Then what is noise in them is in the input, too (Granger 1969, Econometrica 37).
-    """
-    for record in records:
-        for signal in unramped(record.inputs, record.commands):
-            outputs, changes, _ = _before(signal, record, False)
-            count, ny = outputs.shape
-            past = min(_PAST // ny, (count - 1) // (_EACH * (ny + 1)))
-            for own in changes if past > 0 else ():
-                alone = _alone(own, past)
-                _, (left,) = _told(np.column_stack((own[:-1], outputs[2:])), own[np.newaxis, 1:],
-                                   past)
-                least = _SMOOTH * float(np.mean(own ** 2))
-                gain = (count - past) * np.log((alone + least) / (left + least))
-                if gain > _HEARS * np.sqrt(2.0 * past * ny):
-                    return True
-    return False
-
-
 def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
     """
     Return whether any input could hold a mode which grows as exp(growth t) [rad/s].
@@ -157,38 +125,19 @@ def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
     return any(follows and growth * rest < _RESTS
                for record in records for signal in record.inputs
                for follows, rest in zip(_has_news(signal, record, at_once),
-                                        _rests(signal, record), strict=True))
+                                        resting_times(signal, record), strict=True))
 
 
 def _has_news(signal: Signal, record: Record, at_once: bool) -> list[bool]:
     """Return whether what a channel's past does not tell of it is of the size of the outputs'."""
-    outputs, changes, past = _before(signal, record, at_once)
+    outputs, changes, past = outputs_before(signal, record, at_once)
     if not past:
         return [True] * signal.width
 
     def news(own: Array) -> float:
-        return _alone(own, past) / max(float(np.mean(own ** 2)), 1e-300)
+        return left_alone(own, past) / max(float(np.mean(own ** 2)), 1e-300)
     least = _NEWS * min(map(news, np.diff(outputs, axis=0).T))
     return [news(own) >= least for own in changes]
-
-
-def _rests(signal: Signal, record: Record) -> list[float]:
-    """Return for how long each channel rests while outputs move: longer half of the time [s]."""
-    rows = signal.rows(record.start, record.end)
-    times, values = signal.time[rows], signal.values[rows]
-    if not len(times):
-        return [np.inf] * signal.width
-    moves = np.sort(np.concatenate([s.time[1:][(np.diff(s.values, axis=0) != 0.0).all(axis=1)]
-                                    for s in record.outputs]))
-    found = []
-    for own in values.T:
-        starts = times[np.append(True, np.diff(own) != 0.0)]
-        ends = np.append(starts[1:], record.end)
-        first, last = (np.searchsorted(moves, t) for t in (starts, ends))
-        rests = np.sort(np.where(last > first, ends - starts, 0.0))
-        half = np.searchsorted(np.cumsum(rests), 0.5 * np.sum(rests))
-        found.append(float(rests[half]))
-    return found
 
 
 def _distance(answer: Array, step: float, model: StateSpace, j: int, excited: Excitation) -> float:
@@ -211,47 +160,13 @@ def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None
 
     Strictly before it if outputs follow the inputs `at_once`.
     """
-    outputs, changes, past = _before(signal, record, at_once)
+    outputs, changes, past = outputs_before(signal, record, at_once)
     if not past:
         return [None] * signal.width
-    weights, left = _told(outputs[1:], changes, past)
+    weights, left = regressed_on_past(outputs[1:], changes, past)
     found: list[Array | None] = []
     for own, power, w in zip(changes, left, weights, strict=True):
-        rest = _alone(own, past)
-        tells = power < rest and rest > _SMOOTH * np.mean(own ** 2)
+        rest = left_alone(own, past)
+        tells = power < rest and rest > SMOOTH * np.mean(own ** 2)
         found.append(w.reshape(past, -1) if tells else None)
     return found
-
-
-def _before(signal: Signal, record: Record, at_once: bool) -> tuple[Array, Array, int]:
-    """Return outputs before the samples of an input, its changes, and how far to look back."""
-    rows = signal.rows(record.start, record.end)
-    times, values = signal.time[rows][-_MOST:], signal.values[rows][-_MOST:]
-    # What an input is computed from has the same stamp or an earlier one.
-    side: Literal['left', 'right'] = 'left' if at_once else 'right'
-    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
-            for s in record.outputs]
-    outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
-    return outputs, np.diff(values, axis=0).T, min(
-        _PAST, len(times) // (_EACH * outputs.shape[1]))
-
-
-def _alone(own: Array, past: int) -> float:
-    """Return the mean square of what its own past does not tell of a sequence."""
-    _, left = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
-    return float(left[0])
-
-
-def _told(regressors: Array, targets: Array, past: int) -> tuple[Array, Array]:
-    """
-    Return how targets (m, N) depend on so many rows (N, k) up to each, and what is left.
-
-    Weights (m, past k), and the mean squares of what is left (m,).
-    """
-    count = targets.shape[1] - past + 1
-    known = np.vstack([*(regressors[past - 1 - k:past - 1 - k + count].T for k in range(past)),
-                       np.ones((1, count))])
-    wanted = targets[:, past - 1:]
-    weights = least_norm(known, wanted, _TOLERANCE)
-    left = np.sum((wanted - weights @ known) ** 2, axis=1) / max(count - len(known), 1)
-    return weights[:, :-1], left

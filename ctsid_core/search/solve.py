@@ -40,6 +40,7 @@ from ctsid_core.search.tried import (
     smaller_models,
 )
 from ctsid_core.settings import Settings
+from ctsid_core.signals.loop import in_loop
 
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
                       # plant in open loop, and it may grow
@@ -95,28 +96,35 @@ def _simulated(task: Task) -> Solution | None:
 
 
 def _predicted(task: Task) -> Solution | None:
-    """Return the model where outputs follow no input at once, as in a loop, but their past."""
+    """
+    Return the model where outputs follow no input at once, as in a loop, but their past.
+
+    Where no controller is heard a plant that does not grow is to simulate: what an oscillation
+    from elsewhere does to an output predictions know, and inputs by chance.
+    """
     samples, subspace = task.seen(), Subspace(task)
     free = task.free(samples)
     sought = predicted(task, samples, free)
-    if sought is not None and (solved := _at_once(task, samples, free, sought)):
+    growth = -np.inf if sought is None else growth_of(sought, samples)
+    held = growth > GROWS or in_loop([p.record for p in task.part.parts])
+    if sought is not None and held and (solved := _at_once(task, samples, free, sought)):
         return solved
     task, one = _by_orders(task, samples, free, subspace)
     if one is None:
         return None
     # Modes that last where its past tells of none are of the set point, or of disturbances.
-    if sought is not None and growth_of(sought, one.samples) < -GROWS and np.any(
+    if sought is not None and held and growth < -GROWS and np.any(
             np.abs(one.best.fit.model.poles.real) * one.samples.length < GROWS) and (
             solved := as_likely(task, one.samples, free, sought)):
         return solved
     task, one = _without_outliers(task, one)
     hold, order = _doubts(task, one)
     drifts = one.best.drifting is not None and one.best.unexplained < _FAILS
-    if sought is not None and not drifts and not (
-            order and growth_of(sought, one.samples) <= GROWS) and (
+    if sought is not None and held and not drifts and not (order and growth <= GROWS) and (
             solved := likelier(task, one.samples, one.best, free, sought)):
         return replace(solved, doubt=hold or solved.doubt)
-    return _finished(task, one, subspace, hold or order)
+    asked = not (held or order) and one.best.left > UNEXPLAINED
+    return _finished(task, one, subspace, hold or order, sought if asked else None)
 
 
 def _doubts(task: Task, one: _Searched) -> tuple[Doubt | None, Doubt | None]:

@@ -51,6 +51,7 @@ _FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself h
 # Outputs that may answer at once: of an accelerometer, as ROS, PX4, ArduPilot and people name it.
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
+_MOSTLY = 0.9  # of what is explained: more, and no other input is missed
 _SEEN = 0.01  # of what is explained: less is nothing
 _AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
 _DELAYS = 6.0  # so many a window is long: of five the first one, without history, may miss it
@@ -280,7 +281,11 @@ def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
     ranking = replace(ranking, found=tuple(c for c in ranking.found if c not in outputs))
     found, said = list[Candidate](), list[str]()
     for y in outputs:
-        others, without, share = further_commands([*inputs, *found], y, ranking)
+        others, without, share, gone = further_commands([*inputs, *found], y, ranking)
+        if chosen and gone and share < _MOSTLY:
+            said.append(f'{", ".join(map(words, gone))} would explain little more of {words(y)}, '
+                        'and not all that moves it is explained; to take what is known to move '
+                        f'it: {_said([*inputs, *found, *others, *gone], [y])}')
         if others:
             it = 'it' if len(others) == 1 else 'them'
             told = (f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,17 +188,25 @@ def _as_they_act(found: list[Candidate], clock: Clock) -> list[Candidate]:
             else c for c in found]
 
 
-def further_commands(inputs: Sequence[Candidate], y: Candidate,
-                     ranking: Ranking) -> tuple[list[Candidate], float, float]:
-    """
-    Return further commands that move an output, and what inputs explain without and with them.
+class Further(NamedTuple):
+    """Commands that move an output beside its inputs; shares of its motion, in unseen data."""
 
-    Shares of its motion, in unseen data. Of all commands of their own those go, one after the
-    other, whose past explains little beside that of the others.
+    kept: list[Candidate]
+    without: float = 0.0                # what inputs explain without them, ...
+    share: float = 0.0                  # ... and with them
+    gone: tuple[Candidate, ...] = ()    # further ones, that explain little more
+
+
+def further_commands(inputs: Sequence[Candidate], y: Candidate, ranking: Ranking) -> Further:
+    """
+    Return further commands that move an output.
+
+    Of all commands of their own those go, one after the other, whose past explains little beside
+    that of the others.
     """
     comparison = Comparison(ranking.clock, [y.smooth])
     if not comparison.possible:
-        return [], 0.0, 0.0
+        return Further([])
 
     def left(further: Sequence[Candidate]) -> float:
         """Return what is left by the inputs and further ones."""
@@ -206,6 +215,7 @@ def further_commands(inputs: Sequence[Candidate], y: Candidate,
 
     kept = list(islice((c for c in _commands(ranking, inputs) if c is not y and not _told(
         c, inputs[0], y, ranking.clock)), _MOST_COMMANDS))
+    each = tuple(kept)
     rest = alone = left([])
     while kept:
         rest, lost = left(kept), {}
@@ -216,7 +226,8 @@ def further_commands(inputs: Sequence[Candidate], y: Candidate,
             break
         # Of several that tell the same the last one goes.
         kept.remove(max(reversed(kept), key=lambda c: round(lost[c], 1)))
-    return kept, 1.0 - alone, 1.0 - (rest if kept else alone)
+    return Further(kept, 1.0 - alone, 1.0 - (rest if kept else alone),
+                   tuple(c for c in each if c not in kept))
 
 
 def together_moved(ranking: Ranking, named_inputs: Collection[Key] = (),

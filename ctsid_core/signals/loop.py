@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whether a controller computes the inputs: these never rest, and hear the outputs.
+
+What is noise in the outputs is then in the inputs, too: the outputs' past tells more of how an
+input changes than its own past does (Granger 1969, Econometrica 37).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from ctsid_core.linear.least_squares import least_norm
+from ctsid_core.linear.types import Array
+from ctsid_core.signals.actuators import unramped
+from ctsid_core.signals.record import Record, Signal
+
+_PAST = 20            # samples of an input, over which the outputs are looked at
+_EACH = 6             # changes for each number, at least
+_MOST = 5000          # samples of an input that are looked at, the last ones
+_TOLERANCE = 1e-10    # of regressors that depend on each other
+SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
+MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
+_HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
+
+
+def in_loop(records: Sequence[Record]) -> bool:
+    """Return whether inputs seem to be a controller's: one never rests, and hears the outputs."""
+    return never_rest(records) and hears(records)
+
+
+def never_rest(records: Sequence[Record]) -> bool:
+    """Return whether an input moves all the time, as what a controller sends does."""
+    return any(rest <= MOVING * signal.period for record in records for signal in record.inputs
+               for rest in resting_times(signal, record))
+
+
+def hears(records: Sequence[Record]) -> bool:
+    """
+    Return whether outputs tell more of how an input changes than its own past does, beyond chance.
+
+    Then what is noise in them is in the input, too (Granger 1969, Econometrica 37).
+    """
+    for record in records:
+        for signal in unramped(record.inputs, record.commands):
+            outputs, changes, _ = outputs_before(signal, record, False)
+            count, ny = outputs.shape
+            past = min(_PAST // ny, (count - 1) // (_EACH * (ny + 1)))
+            for own in changes if past > 0 else ():
+                alone = left_alone(own, past)
+                _, (left,) = regressed_on_past(
+                    np.column_stack((own[:-1], outputs[2:])), own[np.newaxis, 1:], past)
+                least = SMOOTH * float(np.mean(own ** 2))
+                gain = (count - past) * np.log((alone + least) / (left + least))
+                if gain > _HEARS * np.sqrt(2.0 * past * ny):
+                    return True
+    return False
+
+
+def resting_times(signal: Signal, record: Record) -> list[float]:
+    """Return for how long each channel rests while outputs move: longer half of the time [s]."""
+    rows = signal.rows(record.start, record.end)
+    times, values = signal.time[rows], signal.values[rows]
+    if not len(times):
+        return [np.inf] * signal.width
+    moves = np.sort(np.concatenate([s.time[1:][(np.diff(s.values, axis=0) != 0.0).all(axis=1)]
+                                    for s in record.outputs]))
+    found = []
+    for own in values.T:
+        starts = times[np.append(True, np.diff(own) != 0.0)]
+        ends = np.append(starts[1:], record.end)
+        first, last = (np.searchsorted(moves, t) for t in (starts, ends))
+        rests = np.sort(np.where(last > first, ends - starts, 0.0))
+        half = np.searchsorted(np.cumsum(rests), 0.5 * np.sum(rests))
+        found.append(float(rests[half]))
+    return found
+
+
+def outputs_before(signal: Signal, record: Record, at_once: bool) -> tuple[Array, Array, int]:
+    """Return outputs before the samples of an input, its changes, and how far to look back."""
+    rows = signal.rows(record.start, record.end)
+    times, values = signal.time[rows][-_MOST:], signal.values[rows][-_MOST:]
+    # What an input is computed from has the same stamp or an earlier one.
+    side: Literal['left', 'right'] = 'left' if at_once else 'right'
+    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
+            for s in record.outputs]
+    outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
+    return outputs, np.diff(values, axis=0).T, min(
+        _PAST, len(times) // (_EACH * outputs.shape[1]))
+
+
+def left_alone(own: Array, past: int) -> float:
+    """Return the mean square of what its own past does not tell of a sequence."""
+    _, left = regressed_on_past(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
+    return float(left[0])
+
+
+def regressed_on_past(regressors: Array, targets: Array, past: int) -> tuple[Array, Array]:
+    """
+    Return how targets (m, N) depend on so many rows (N, k) up to each, and what is left.
+
+    Weights (m, past k), and the mean squares of what is left (m,).
+    """
+    count = targets.shape[1] - past + 1
+    known = np.vstack([*(regressors[past - 1 - k:past - 1 - k + count].T for k in range(past)),
+                       np.ones((1, count))])
+    wanted = targets[:, past - 1:]
+    weights = least_norm(known, wanted, _TOLERANCE)
+    left = np.sum((wanted - weights @ known) ** 2, axis=1) / max(count - len(known), 1)
+    return weights[:, :-1], left
