@@ -14,6 +14,7 @@ from scipy.signal import butter, filtfilt
 
 from ctsid_core import Grade, Record, Settings, StateSpace, identify
 from ctsid_core.judge.feedback import distance_to_controller
+from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import Excitation
 from ctsid_core.signals.loop import hears, in_loop
 
@@ -308,3 +309,54 @@ def test_a_switch_that_rests_hears_the_outputs_and_is_no_loop(seed):
     record = Record.from_arrays(t, u, t, y, input_hold='zoh')
     assert hears([record])
     assert not in_loop([record])
+
+
+def vibrating(seed: int, noise: float = 0.15) -> Record:
+    """Return 20 s of a rate behind a motor's lag; what vibrates at 168 Hz a gyro aliases."""
+    rng, a = np.random.default_rng(seed), -(1.0 + 2.0 * (seed % 5) / 4.0)
+    t, t_u = 0.01 * np.arange(2000), 0.02 * np.arange(1000)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 50), 20)
+    step = expm(0.01 * np.array([[a, 3.0, 0.0], [0.0, -12.0, 12.0], [0.0, 0.0, 0.0]]))
+    x = np.zeros((2000, 2))
+    for k in range(1999):
+        x[k + 1] = (step @ np.append(x[k], u[k // 2]))[:2]
+    y = x[:, 0] + noise * x[:, 0].std() * np.sin(
+        2.0 * np.pi * rng.uniform(160.0, 175.0) * t + 3.0 * np.sin(0.5 * t))
+    return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
+
+
+@pytest.mark.parametrize('seed', [1, 3, *slow(4, 8, 17)])
+def test_a_vibration_is_no_mode_that_inputs_drive(seed):
+    """Predictions know it, and where no controller is heard they are not asked first."""
+    found = identify(vibrating(seed), Settings(feedthrough=False))
+    assert found.good
+    assert found.model.n == 2
+    again = vibrating(seed + 100 * 5, noise=0.0)
+    assert simulation(found.model, again, trim='refit').fit[0] > 99.0
+
+
+def balancing(seed: int) -> Record:
+    """Return 30 s of speed and tilt of a robot on two wheels, in gusts, and of its set point."""
+    rng = np.random.default_rng(seed)
+    k_tilt, k_rate, k_speed = rng.uniform([60.0, 8.0, 4.0], [90.0, 14.0, 8.0])
+    u = np.repeat(rng.uniform(-1.0, 1.0, 120), 5)       # at 20 Hz, each for a quarter of a second
+    tilt, rate, speed, wind, rows = 0.0, 0.0, 0.0, 0.0, []
+    for k in range(7500):
+        torque = k_tilt * tilt + k_rate * rate + k_speed * (speed - 0.5 * u[k * 600 // 7500])
+        wind += -wind * 0.004 / 0.3 + 0.03 * rng.standard_normal()
+        tilt, rate, speed = (tilt + 0.004 * rate, rate + 0.004 * (25.0 * tilt - torque + wind),
+                             speed + 0.004 * (0.5 * torque - 4.0 * tilt - 0.2 * speed))
+        rows.append((speed, tilt))
+    y = np.array(rows)[::5]
+    y = y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+    return Record.from_arrays(0.05 * np.arange(600), u, 0.02 * np.arange(1500), y,
+                              input_hold='zoh')
+
+
+@pytest.mark.parametrize('seed', [2, *slow(3, 4)])
+def test_what_hears_nothing_hinges_on_no_stamps(seed):
+    """A set point that is drawn at will is no controller's, and its stamps are right."""
+    record = balancing(seed)
+    assert not hears([record])
+    found = identify(record, Settings(feedthrough=False))
+    assert found.good, found.verdict.reason

@@ -56,7 +56,7 @@ def explained_best(solution: Solution, acted: Solution) -> Solution:
         alike = tried(*acted.simulated).unexplained > _MOST * solution.drifts.unexplained
         changes.append(ahead(solution.drifts.power, samples, solution.drifts.parameters
                              - parameters(samples, fit, free)))
-    change = most_likely_change(samples, fit, free, solution.smaller, solution.telling)
+    change = most_likely_change(samples, fit, free, solution.smaller, *solution.telling)
     if change.cost > NOTED and change.share > 0.0:
         before, after = ((1.0 - 0.01 * side) ** 2 for side in change.two)
         two = np.full(samples.ny, np.nan)               # that of the output of which most is left

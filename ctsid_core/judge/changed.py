@@ -11,9 +11,9 @@ independent evidence there is for two is counted in *their* errors, and nearly a
 leaves, noise apart, has to be gone, as far as the noise lets see. And they have to be the best
 explanation: of a plant that drifts, or is not linear, a drift or curves explain as much, and of
 one that is pushed a load that comes and goes. Of several records each may be of another plant as a
-whole: then it has a model of its own. Of a model that was found by its predictions these tell, for
-their errors are white where gusts stay in those of simulations; how much it matters is what the
-plant, simulated, misses beside two.
+whole: then it has a model of its own. Of a model that was found by its predictions these tell, too
+(in a loop they alone), for their errors are white where gusts stay in those of simulations; how
+much it matters is what the plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ class Change:
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
                        smaller: tuple[Own, ...] = (),
-                       predictor: Fitted | None = None) -> Change:
+                       predictor: Fitted | None = None, simulates: bool = True) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
 
     Smaller models are the best ones of smaller orders, and what was free in them. Of a model that
-    was found by its predictions these tell: its predictor.
+    was found by its predictions its predictor tells, too, or alone unless it `simulates`.
     """
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
@@ -88,13 +88,15 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     other = max((Change(), *others), key=lambda change: change.cost)
     if other.cost > 0.0:
         return other
-    if predictor is not None:
-        return max(Change(), *(_as_predicted(samples, whole, place, predictor)
-                               for place in each),
-                   key=lambda change: (change.cost, change.gain))
-    return max(Change(), *(_explained(samples, one, _divisions(samples, one, whole, place))
-                           for place in each for one in (whole, *smaller)),
-               key=lambda change: change.cost)
+    found = Change()
+    if simulates:
+        found = max(found, *(_explained(samples, one, _divisions(samples, one, whole, place))
+                             for place in each for one in (whole, *smaller)),
+                    key=lambda change: change.cost)
+    if predictor is not None and not found.cost:
+        found = max(found, *(_as_predicted(samples, whole, place, predictor) for place in each),
+                    key=lambda change: (change.cost, change.gain))
+    return found
 
 
 def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:

@@ -89,7 +89,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         'whether outputs answer before inputs') else lead_of_outputs(*simulated, asked)
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
-        most_likely_change(*simulated, solution.smaller, solution.telling)
+        most_likely_change(*simulated, solution.smaller, *solution.telling)
     drift = _drift(solution) if solution.drifting or change.pushed or change.cost <= NOTED \
         else Drift()
     effort.check()

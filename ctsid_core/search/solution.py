@@ -100,9 +100,10 @@ class Solution:
             None if self.by_prediction else (self.samples, self.fit, self.free))
 
     @property
-    def telling(self) -> Fitted | None:
-        """The predictor, where it tells changes: in closed loop, or of what nothing simulates."""
-        return None if self.plant is None or self.predictor and self.simulating else self.source
+    def telling(self) -> tuple[Fitted | None, bool]:
+        """The predictor, if one tells changes, and whether simulations tell them, too."""
+        return (None, True) if self.plant is None else (
+            self.source, self.predictor is not None and self.simulating is not None)
 
     @property
     def delay(self) -> Array:
