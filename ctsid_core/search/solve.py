@@ -50,7 +50,7 @@ _CLEARLY = 0.1        # -2 log likelihood, of all horizons, for each sample
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """Return the model of records, or None if they are too short for any."""
     task = Task(part, settings, effort, affordable(samples_of_part(part, effort)))
-    found = _simulated(task) if settings.feedthrough else _predicted(task)
+    found = _solved(task)
     return found and replace(found, doubt=doubt_of_delays(task, found) or found.doubt)
 
 
@@ -68,45 +68,21 @@ class _Searched:
     notes: tuple[str, ...]
 
 
-def _simulated(task: Task) -> Solution | None:
+def _solved(task: Task) -> Solution | None:
     """
-    Return the model where outputs may follow inputs at once: none of a loop's.
+    Return the model that simulates the records, or the plant that predicts them.
 
-    In open loop a plant is to simulate, unless it grows and no simulation tells it. A drift
-    predictions take up, too, as growth; simulations of what a controller holds seem to drift, but
-    fail.
+    In open loop a plant is to simulate, unless it grows and no simulation tells it: predictions
+    are asked of what simulations leave. Without D they are asked first, and where a controller is
+    heard, or the plant grows, they are as good: simulations of what a controller holds imitate
+    what it makes of noise. Behind a stick, what an oscillation from elsewhere does to an output
+    predictions know, and inputs by chance. A drift they take up as growth.
     """
-    samples, subspace = task.seen(), Subspace(task)
+    samples, subspace, direct = task.seen(), Subspace(task), task.settings.feedthrough
     free = replace(task.free(samples), feedthrough=False)
-    task, one = _by_orders(task, samples, free, subspace)
-    if one is None:
-        return None
-    task, one = _without_outliers(task, _with_direct(task, one, subspace))
-    hold, order = _doubts(task, one)
-    sought, grows, left = None, False, one.best.left
-    if left > UNEXPLAINED and not task.effort.beyond(SEARCH):
-        sought = predicted(task, one.samples, one.free)
-        grows = sought is not None and growth_of(sought, one.samples) > GROWS
-    drifts = one.best.drifting is not None and one.best.unexplained < _FAILS
-    if sought is not None and grows and not drifts and _FAILS <= min(
-            left, *(other.unexplained for other in one.found.values())) and (
-            solved := likelier(task, one.samples, one.best, one.free, sought)):
-        return replace(solved, doubt=hold or solved.doubt)
-    return _finished(task, one, subspace, hold or order, None if grows or order else sought, grows)
-
-
-def _predicted(task: Task) -> Solution | None:
-    """
-    Return the model where outputs follow no input at once, as in a loop, but their past.
-
-    Where no controller is heard a plant that does not grow is to simulate: what an oscillation
-    from elsewhere does to an output predictions know, and inputs by chance.
-    """
-    samples, subspace = task.seen(), Subspace(task)
-    free = task.free(samples)
-    sought = predicted(task, samples, free)
+    sought = None if direct else predicted(task, samples, free)
     growth = -np.inf if sought is None else growth_of(sought, samples)
-    held = growth > GROWS or in_loop([p.record for p in task.part.parts])
+    held = growth > GROWS or not direct and in_loop([p.record for p in task.part.parts])
     if sought is not None and held and (solved := _at_once(task, samples, free, sought)):
         return solved
     task, one = _by_orders(task, samples, free, subspace)
@@ -117,14 +93,21 @@ def _predicted(task: Task) -> Solution | None:
             np.abs(one.best.fit.model.poles.real) * one.samples.length < GROWS) and (
             solved := as_likely(task, one.samples, free, sought)):
         return solved
-    task, one = _without_outliers(task, one)
+    task, one = _without_outliers(task, _with_direct(task, one, subspace) if direct else one)
     hold, order = _doubts(task, one)
+    left = one.best.left
+    if direct and left > UNEXPLAINED and not task.effort.beyond(SEARCH):
+        sought = predicted(task, one.samples, one.free)
+        growth = -np.inf if sought is None else growth_of(sought, one.samples)
+        held = growth > GROWS and _FAILS <= min(
+            left, *(other.unexplained for other in one.found.values()))
     drifts = one.best.drifting is not None and one.best.unexplained < _FAILS
     if sought is not None and held and not drifts and not (order and growth <= GROWS) and (
-            solved := likelier(task, one.samples, one.best, free, sought)):
+            solved := likelier(task, one.samples, one.best, one.free, sought)):
         return replace(solved, doubt=hold or solved.doubt)
-    asked = not (held or order) and one.best.left > UNEXPLAINED
-    return _finished(task, one, subspace, hold or order, sought if asked else None)
+    simulates = held or growth > GROWS or order or left <= UNEXPLAINED
+    return _finished(task, one, subspace, hold or order, None if simulates else sought,
+                     growth > GROWS)
 
 
 def _doubts(task: Task, one: _Searched) -> tuple[Doubt | None, Doubt | None]:
