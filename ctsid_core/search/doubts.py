@@ -79,9 +79,10 @@ def doubt_of_hold(task: Task, samples: Samples, found: dict[int, Tried], best: T
         if min(gains) > least:
             hold = holds[int(np.argmax(gains[:len(holds)]))]
             name = task.input_names[channels.start].partition('[')[0]
-            moves = 'is held' if hold == 'zoh' else 'moves'
-            return (f'input {name} seems as if it {moves} between its samples: that explains '
-                    f'more, with no more states, than `hold: {signal.hold}` does',
+            seems = 'it is held between its samples' if hold == 'zoh' else \
+                'it moves between its samples, or outputs are averages over some time'
+            return (f'input {name} seems as if {seems}: that explains more, with no more states, '
+                    f'than `hold: {signal.hold}` does',
                     f'{name}{OTHER_HOLD}{hold}')
     return None
 
