@@ -410,6 +410,22 @@ def test_what_is_no_further_command_is_not_told(tmp_path, name, share, make):
     assert without == share
 
 
+def test_a_command_that_explains_little_is_named_where_not_all_is_explained(tmp_path):
+    """A brake, seldom used: without it the gain of the throttle was wrong, and no word of it."""
+    rng, t = np.random.default_rng(0), 0.05 * np.arange(1800)
+    u = np.repeat(rng.uniform(0.0, 1.0, 45), 40)
+    v = 0.4 * np.repeat(rng.uniform(size=90) < 0.07, 20)
+    gust = lfilter([0.02], [1.0, -0.98], 2.0 * rng.standard_normal(1800))
+    y = lfilter([0.05], [1.0, -0.95], u - v + gust)
+    np.savetxt(tmp_path / 'run.csv', np.column_stack((t, u, v, y)), delimiter=',', comments='',
+               header='time,throttle,brake,speed')
+    with open_bag(tmp_path / 'run.csv') as bag:
+        told = [one for one in guess(bag, survey(bag)).reasons if 'little more' in one]
+    assert told == ['run brake would explain little more of run speed, and not all that moves it '
+                    "is explained; to take what is known to move it: --input 'run throttle' "
+                    "--input 'run brake' --output 'run speed'"]
+
+
 def test_a_controllers_own_output_is_not_offered_as_its_input():
     """The only command there was the output itself."""
     wish, u = (SimpleNamespace(key=('run', name), acts=1.0, measures=0.0, set_point=wanted)

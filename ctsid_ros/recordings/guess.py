@@ -52,6 +52,7 @@ _FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself h
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
 _MOSTLY = 0.9  # of what is explained: more, and no other input is missed
+_FEW = 2  # commands that are named though they explain little: of a dozen nobody asks for all
 _SEEN = 0.01  # of what is explained: less is nothing
 _AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
 _DELAYS = 6.0  # so many a window is long: of five the first one, without history, may miss it
@@ -282,7 +283,7 @@ def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
     found, said = list[Candidate](), list[str]()
     for y in outputs:
         others, without, share, gone = further_commands([*inputs, *found], y, ranking)
-        if chosen and gone and share < _MOSTLY:
+        if chosen and 0 < len(gone) <= _FEW and share < _MOSTLY:
             said.append(f'{", ".join(map(words, gone))} would explain little more of {words(y)}, '
                         'and not all that moves it is explained; to take what is known to move '
                         f'it: {_said([*inputs, *found, *others, *gone], [y])}')
