@@ -93,7 +93,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         found = max(found, *(_explained(samples, one, _divisions(samples, one, whole, place))
                              for place in each for one in (whole, *smaller)),
                     key=lambda change: change.cost)
-    if predictor is not None and not found.cost:
+    if predictor is not None and found.cost <= NOTED:
         found = max(found, *(_as_predicted(samples, whole, place, predictor) for place in each),
                     key=lambda change: (change.cost, change.gain))
     return found

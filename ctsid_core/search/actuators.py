@@ -96,7 +96,8 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
     doubts = (_doubt(whole.input_names[j], kind, known, value) for k, j in enumerate(u)
               if k in first for kind, known, value in zip(
                   Actuator._fields, acting[k], first[k], strict=True)
-              if value and (known or kind == 'timeout') and abs(value - known) > APART * value)
+              if value and (kind == 'timeout' or not unknown[kind][j])
+              and abs(value - known) > APART * value)
     beside, deviations = list(_beside(best, settings)), [Actuator()] * whole.nu
     for j, kind, deviation, _ in beside:        # of a larger and of a smaller number
         deviations[j] = deviations[j]._replace(
@@ -223,6 +224,15 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     if own is None or given is None:
         return known, False
     own, acting = _nearer(whole, own, acting, numbers)
+    part = sent.parts[0]
+    for channels, kind in _set(sought, known):      # what is given stays, unless it surely is not
+        if settings.unknown_actuators(kind, part.whole.nu)[part.u[channels[0]]]:
+            continue
+        value = getattr(known[channels[0]], kind)
+        stays = with_number(acting, channels, kind, value)
+        near = whole.reached(stays, [(own.fit.model.poles, own.fit.model.delay)])
+        if near is not None and _gain(own, near, 0) < SURELY:
+            own, acting = near, stays
     if _gain(own, given, 0) < _CHANCE:
         return known, False
     return acting, _surely(own, given, _count(acting) - _count(known))
@@ -272,13 +282,14 @@ def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple
     """Yield inputs that are held, those of the same messages together, and what may be theirs."""
     part = sent.parts[0]
     nu, inputs = part.whole.nu, part.record.inputs
+    given = settings.actuators(nu)
     for signal, channels in zip(inputs, channel_slices(inputs), strict=True):
         places = range(channels.start, channels.stop)
         if signal.hold != 'zoh' or len(signal.time) < 3:
             continue
         yield tuple(places), 'timeout'
         for kind in () if loop else Actuator._fields[1:]:
-            unknown, given = settings.unknown_actuators(kind, nu), settings.actuators(nu)
+            unknown = settings.unknown_actuators(kind, nu)
             yield from (((k,), kind) for k in places
                         if unknown[part.u[k]] or getattr(given[part.u[k]], kind))
 

@@ -24,10 +24,10 @@ from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import mean_square, residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.linear.types import Array, Mask
-from ctsid_core.search.solution import TIMEOUT, Solution
+from ctsid_core.search.solution import Solution
 from ctsid_core.search.task import corrupt_rows
 from ctsid_core.search.tried import SEARCH, tried
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.gaps import FEWEST, silences
 from ctsid_core.signals.spikes import MAD, SURE, spikes
 
@@ -170,7 +170,8 @@ def of_lost_inputs(solution: Solution, settings: Settings,
     divided = [again(each, True) for each in dict.fromkeys((settings, given))]
     _, found = min(((tried(*one.simulated).unexplained, one) for one in divided
                     if one and one.simulated), key=lambda own: own[0], default=(0.0, solution))
-    doubt = solution.doubt if solution.doubt and TIMEOUT in solution.doubt[1] else found.doubt
+    doubt = solution.doubt if solution.doubt and any(
+        f'.{kind}: ' in solution.doubt[1] for kind in Actuator._fields) else found.doubt
     return replace(found, doubt=doubt, deviations=solution.deviations)
 
 

@@ -30,7 +30,6 @@ Doubt = tuple[str, str]
 ANY_ORDER, ANY_DELAY, NO_DIRECT = GIVEN = ('order: 0', 'delay: auto', 'feedthrough: false')
 DIRECT = 'feedthrough: true'
 OTHER_HOLD = '.hold: '  # after the name of an input, before what it should be
-TIMEOUT = '.timeout: '  # the same
 
 GROWS = 1.0           # times e within the record: less does not tell a plant that grows
 NEARLY = 0.95         # of a bound: what is near it stands in for more
@@ -101,9 +100,10 @@ class Solution:
 
     @property
     def telling(self) -> tuple[Fitted | None, bool]:
-        """The predictor, if one tells changes, and whether simulations tell them, too."""
-        return (None, True) if self.plant is None else (
-            self.source, self.predictor is not None and self.simulating is not None)
+        """The predictor, where it tells changes, and whether simulations tell them, too."""
+        simulates = self.plant is None or None not in (self.predictor, self.simulating)
+        return (None if self.plant is None or simulates and self.settings.feedthrough
+                else self.source), simulates
 
     @property
     def delay(self) -> Array:

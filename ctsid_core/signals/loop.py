@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether a controller computes the inputs: these never rest, and hear the outputs.
+Whether a controller computes the inputs: these hear the outputs.
 
 What is noise in the outputs is then in the inputs, too: the outputs' past tells more of how an
 input changes than its own past does (Granger 1969, Econometrica 37).
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array
@@ -25,39 +26,51 @@ _TOLERANCE = 1e-10    # of regressors that depend on each other
 SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
 MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
 _HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
+_NEWEST = 5           # outputs, that a controller answers most: with 20 loops tell half as clearly
+_USUAL = 6.0          # times the median size of changes, to which larger ones are clipped
 
 
 def in_loop(records: Sequence[Record]) -> bool:
-    """Return whether inputs seem to be a controller's: one never rests, and hears the outputs."""
-    return never_rest(records) and hears(records)
+    """
+    Return whether inputs seem to be a controller's, which hears the outputs.
+
+    Their past tells more, beyond chance, of how an input changes than its own past does: then what
+    is noise in them is in the input, too. Asked of the samples at which it changes, for a slow
+    controller's command may be sent again, and of changes of a usual size, for a few jumps of a
+    set point outweigh all others.
+    """
+    for record in records:
+        for signal in unramped(record.inputs, record.commands):
+            outputs, changes, _ = outputs_before(signal, record, False)
+            if any(_hears(own[own != 0.0], outputs[np.append(True, own != 0.0)])
+                   for own in changes):
+                return True
+    return False
+
+
+def _hears(changes: Array, outputs: Array) -> bool:
+    """Return whether outputs (N, ny) tell of changes (N - 1,): of each those before it."""
+    count, ny = outputs.shape
+    past = min(_PAST, (count - 1) // (_EACH * (ny + 1)))
+    if past < 1:
+        return False
+    most = _USUAL * float(np.median(np.abs(changes)))
+    own = np.clip(changes, -most, most)
+    newest = min(_NEWEST, past)
+    seen = sliding_window_view(outputs, newest, axis=0)[past + 2 - newest:]
+    before = sliding_window_view(own, past)[:-1]
+    wanted = own[np.newaxis, past:]
+    alone, left = (_left(known, wanted) for known in (
+        before, np.hstack((before, seen.reshape(len(seen), -1)))))
+    least = SMOOTH * float(np.mean(own ** 2))
+    gain = wanted.size * np.log((alone + least) / (left + least))
+    return bool(gain > _HEARS * np.sqrt(2.0 * newest * ny))
 
 
 def never_rest(records: Sequence[Record]) -> bool:
     """Return whether an input moves all the time, as what a controller sends does."""
     return any(rest <= MOVING * signal.period for record in records for signal in record.inputs
                for rest in resting_times(signal, record))
-
-
-def hears(records: Sequence[Record]) -> bool:
-    """
-    Return whether outputs tell more of how an input changes than its own past does, beyond chance.
-
-    Then what is noise in them is in the input, too (Granger 1969, Econometrica 37).
-    """
-    for record in records:
-        for signal in unramped(record.inputs, record.commands):
-            outputs, changes, _ = outputs_before(signal, record, False)
-            count, ny = outputs.shape
-            past = min(_PAST // ny, (count - 1) // (_EACH * (ny + 1)))
-            for own in changes if past > 0 else ():
-                alone = left_alone(own, past)
-                _, (left,) = regressed_on_past(
-                    np.column_stack((own[:-1], outputs[2:])), own[np.newaxis, 1:], past)
-                least = SMOOTH * float(np.mean(own ** 2))
-                gain = (count - past) * np.log((alone + least) / (left + least))
-                if gain > _HEARS * np.sqrt(2.0 * past * ny):
-                    return True
-    return False
 
 
 def resting_times(signal: Signal, record: Record) -> list[float]:
@@ -104,10 +117,18 @@ def regressed_on_past(regressors: Array, targets: Array, past: int) -> tuple[Arr
 
     Weights (m, past k), and the mean squares of what is left (m,).
     """
-    count = targets.shape[1] - past + 1
-    known = np.vstack([*(regressors[past - 1 - k:past - 1 - k + count].T for k in range(past)),
-                       np.ones((1, count))])
-    wanted = targets[:, past - 1:]
-    weights = least_norm(known, wanted, _TOLERANCE)
-    left = np.sum((wanted - weights @ known) ** 2, axis=1) / max(count - len(known), 1)
+    known = sliding_window_view(regressors, past, axis=0)[:, :, ::-1].swapaxes(1, 2)
+    weights, left = _regressed(known.reshape(len(known), -1), targets[:, past - 1:])
     return weights[:, :-1], left
+
+
+def _left(known: Array, wanted: Array) -> float:
+    return float(_regressed(known, wanted)[1][0])
+
+
+def _regressed(known: Array, wanted: Array) -> tuple[Array, Array]:
+    """Return the weights of rows (N, k), and of 1, in targets (m, N), and what is left of each."""
+    rows = np.column_stack((known, np.ones(len(known)))).T
+    weights = least_norm(rows, wanted, _TOLERANCE)
+    left = np.sum((wanted - weights @ rows) ** 2, axis=1) / max(len(known) - len(rows), 1)
+    return weights, left

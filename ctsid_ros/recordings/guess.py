@@ -239,14 +239,14 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
             taken.append(likely[0])
             inputs.append(likely[0].input)
     chosen = not (named.inputs or pair.input.wanted or pair.input.set_point)
-    further, beside = _further_commands(inputs, outputs, ranking, chosen)
+    further, beside, little = _further_commands(inputs, outputs, ranking, chosen)
     by_names &= not further and named == NOBODY
     if further or len(taken) > 1:       # in the order of the recording
         inputs = [c for c in ranking.found if c in (*inputs, *further)]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
         *map(_why, taken), *_followed(pair, ranking.found), *(
             () if named.outputs else _further_outputs(pair, pairs, ranking.compared, inputs))]
-    reasons += beside
+    reasons += [*beside, *little]
     period = max(1 / y.rate for y in outputs)
     unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
     config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs, unit))
@@ -272,21 +272,23 @@ def _why(pair: Pair) -> str:
 
 
 def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
-                      ranking: Ranking, chosen: bool) -> tuple[list[Candidate], list[str]]:
+                      ranking: Ranking, chosen: bool
+                      ) -> tuple[list[Candidate], list[str], list[str]]:
     """
-    Return further inputs, and say which commands move an output, too.
+    Return further inputs, say which commands move an output, too, and which explain little more.
 
     One that is left out bends what is found of the others: where inputs are to be chosen all are.
     Where they are named, or a set point, it is said how to get one model of all.
     """
     ranking = replace(ranking, found=tuple(c for c in ranking.found if c not in outputs))
-    found, said = list[Candidate](), list[str]()
+    found, said, little = list[Candidate](), list[str](), list[str]()
     for y in outputs:
         others, without, share, gone = further_commands([*inputs, *found], y, ranking)
-        if chosen and 0 < len(gone) <= _FEW and share < _MOSTLY:
-            said.append(f'{", ".join(map(words, gone))} would explain little more of {words(y)}, '
-                        'and not all that moves it is explained; to take what is known to move '
-                        f'it: {_said([*inputs, *found, *others, *gone], [y])}')
+        if chosen and len(outputs) == 1 and 0 < len(gone) <= _FEW and share < _MOSTLY:
+            little.append(
+                f'{", ".join(map(words, gone))} would explain little more of {words(y)}, and not '
+                'all that moves it is explained; to take what is known to move it: '
+                f'{_said([*inputs, *others, *gone], [y])}')
         if others:
             it = 'it' if len(others) == 1 else 'them'
             told = (f'{", ".join(map(words, others))} move{"s" * (it == "it")} {words(y)}, too: '
@@ -296,7 +298,7 @@ def _further_commands(inputs: Sequence[Candidate], outputs: Sequence[Candidate],
                 f'all are inputs; without {it}: {_said([*inputs, *found], outputs)}' if chosen
                 else f'one model of all: {_said([*inputs, *others], outputs)}'))
             found += others if chosen else []
-    return found, said
+    return found, said, little
 
 
 def _said(inputs: Sequence[Candidate], outputs: Sequence[Candidate]) -> str:
