@@ -349,6 +349,20 @@ def test_what_is_given_and_is_not_there_is_a_doubt():
     assert found.verdict.reason.endswith('set `u1.limit: auto`.')
 
 
+def test_a_number_that_nobody_gave_is_no_doubt():
+    """It moved from one round to the next, and was said to be given."""
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    found = identify(robots.experiment('backlash', 12, 4).record)
+    assert found.good, found.verdict.reason
+
+
+def test_a_number_that_is_given_and_does_no_harm_is_no_doubt():
+    """Beside one that is found it moved where the likelihood is flat."""
+    found = identify(driven(1, 'dead_zone', 0.3), Settings(limit=1.05))
+    assert found.good, found.verdict.reason
+    assert found.model.actuators[0].limit == 1.05
+
+
 @pytest.mark.parametrize('kind', EACH)
 def test_what_is_given_rightly_is_none(kind):
     found = identify(driven(1, kind, EACH[kind]), Settings(**{kind: 1.03 * EACH[kind]}))

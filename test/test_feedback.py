@@ -296,6 +296,20 @@ def test_what_is_filtered_backward_in_time_does_not_grow(kind, corner, seeds):
     assert told
 
 
+@pytest.mark.parametrize('how', ['jumps', 'rounded', 'again'])
+def test_a_controller_is_heard_whatever_its_command_looks_like(how):
+    """Jumps outweighed its noise; what is rounded, or sent again, rested."""
+    record = held_in_place(1, 'jumps' if how == 'jumps' else 'sways', gust=2.0, pole=-0.2)
+    signal, = record.inputs
+    if how == 'rounded':
+        step = 0.1 * signal.values.std()
+        signal = replace(signal, values=np.round(signal.values / step) * step)
+    if how == 'again':
+        kept = np.arange(len(signal.time)) // 3 * 3
+        signal = replace(signal, values=signal.values[kept])
+    assert in_loop([replace(record, inputs=(signal,))])
+
+
 @pytest.mark.parametrize('seed', [0, 1])
 def test_a_switch_that_rests_hears_the_outputs_and_is_no_loop(seed):
     """A thermostat: at rest for a second and more, as keys are that somebody presses in time."""
