@@ -16,8 +16,8 @@ forward, one that grows.
 Where outputs are stamped late, what a controller computes from one has an earlier stamp than it:
 the input then seems to move first, the plant is minus one over the controller again, and no past
 tells. But such a model hinges on the stamps: a plant's response hardly changes if outputs are an
-interval earlier. That is asked where the outputs of before are heard all the same: a set point that
-is drawn at will hinges on nothing.
+interval earlier. That is asked where outputs of before are heard all the same: a set point that is
+drawn at will hinges on nothing.
 
 References
 ----------
