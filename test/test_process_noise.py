@@ -15,6 +15,7 @@ from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
 from ctsid_core.search import solve
 from ctsid_core.search.by_order import search_orders
+from ctsid_core.signals.loop import in_loop
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 from ctsid_ros.studies.experiments import flown
@@ -39,6 +40,11 @@ def gusty(seed: int, start: float, *, payload=0.5, duration=8.0) -> Record:
 # in which simulations ended in a mode that is none (308), and in which claims were too small.
 WINDOWS = [(301, 8.0, 4), *((seed, start, order) for order in (4, 0) for seed, start in (
     (301, 12.0), (308, 12.0), (310, 4.0), (303, 12.0), (304, 12.0)))]
+
+
+def test_a_controller_is_heard_in_gusts():
+    """Few large commands outweighed what it makes of the sensor's noise."""
+    assert all(in_loop([gusty(seed, start)]) for seed, start, _ in WINDOWS[:4])
 
 
 @pytest.mark.parametrize(('seed', 'start', 'order'), [WINDOWS[0], *slow(*WINDOWS[1:])])
