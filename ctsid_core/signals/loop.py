@@ -27,7 +27,7 @@ SMOOTH = 1e-10       # power of changes that its own past does not tell: less, a
 MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
 _HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
 _NEWEST = 5           # outputs, that a controller answers most: with 20 loops tell half as clearly
-_USUAL = 6.0          # times the median size of changes, to which larger ones are clipped
+_USUAL = 20.0         # times the median size of changes, to which larger ones are clipped
 
 
 def in_loop(records: Sequence[Record]) -> bool:
