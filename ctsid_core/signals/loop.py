@@ -23,8 +23,8 @@ _PAST = 20            # samples of an input, over which the outputs are looked a
 _EACH = 6             # changes for each number, at least
 _MOST = 5000          # samples of an input that are looked at, the last ones
 _TOLERANCE = 1e-10    # of regressors that depend on each other
-SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
-MOVING = 1.5         # intervals that an input rests for as a rule: no longer, and it never rests
+SMOOTH = 1e-10        # power of changes that its own past does not tell: less, and it tells all
+MOVING = 1.5          # intervals that an input rests for as a rule: no longer, and it never rests
 _HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
 _NEWEST = 5           # outputs, that a controller answers most: with 20 loops tell half as clearly
 _USUAL = 20.0         # times the median size of changes, to which larger ones are clipped
@@ -59,11 +59,10 @@ def _hears(changes: Array, outputs: Array) -> bool:
     newest = min(_NEWEST, past)
     seen = sliding_window_view(outputs, newest, axis=0)[past + 2 - newest:]
     before = sliding_window_view(own, past)[:-1]
-    wanted = own[np.newaxis, past:]
-    alone, left = (_left(known, wanted) for known in (
-        before, np.hstack((before, seen.reshape(len(seen), -1)))))
+    _, (left,) = _regressed(np.hstack((before, seen.reshape(len(seen), -1))),
+                            own[np.newaxis, past:])
     least = SMOOTH * float(np.mean(own ** 2))
-    gain = wanted.size * np.log((alone + least) / (left + least))
+    gain = len(before) * np.log((left_alone(own, past) + least) / (left + least))
     return bool(gain > _HEARS * np.sqrt(2.0 * newest * ny))
 
 
@@ -120,10 +119,6 @@ def regressed_on_past(regressors: Array, targets: Array, past: int) -> tuple[Arr
     known = sliding_window_view(regressors, past, axis=0)[:, :, ::-1].swapaxes(1, 2)
     weights, left = _regressed(known.reshape(len(known), -1), targets[:, past - 1:])
     return weights[:, :-1], left
-
-
-def _left(known: Array, wanted: Array) -> float:
-    return float(_regressed(known, wanted)[1][0])
 
 
 def _regressed(known: Array, wanted: Array) -> tuple[Array, Array]:
