@@ -21,13 +21,13 @@ from common import DURATION, experiment, interleaved, machine, noisy, sweep, tab
 import numpy as np  # noqa: E402
 
 from ctsid_core import Record, Settings, identify  # noqa: E402
-from ctsid_core.bases.bandwidth import choose_nmax  # noqa: E402
 from ctsid_core.bases.hermite import hermite_lines, time_scale  # noqa: E402
 from ctsid_core.bases.hermite_functions import (  # noqa: E402
     frequency_grid,
     frequency_table,
     hermite_functions,  # noqa: E402
 )
+from ctsid_core.bases.records import choose_nmax  # noqa: E402
 from ctsid_core.signals.record import Signal  # noqa: E402
 
 COUNTS = (1000, 2000, 5000, 10000, 20000)

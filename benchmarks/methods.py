@@ -23,8 +23,8 @@ import numpy as np  # noqa: E402
 from plain_laguerre import poles  # noqa: E402
 
 from ctsid_core import Record, Settings, identify  # noqa: E402
-from ctsid_core.bases.bandwidth import choose_nmax  # noqa: E402
 from ctsid_core.bases.hermite import project_record  # noqa: E402
+from ctsid_core.bases.records import choose_nmax  # noqa: E402
 from ctsid_core.linear.types import Matrices  # noqa: E402
 from ctsid_core.subspace.ct_pbsid import laguerre_levels, reach, to_continuous  # noqa: E402
 from ctsid_core.subspace.hd_pbsid import Levels, Tuning, realise, regress, stack_levels  # noqa: E402

@@ -5,13 +5,19 @@ How much an identification may compute, counted instead of timed, and whether it
 Work is what evaluations are known to take: 1 is one floating-point operation of a QR
 decomposition. A clock would give another model each time; counted work ends a search at the same
 place on every computer, so that a replay has the bits of the node. `RATE` turns it into seconds.
+
+It has one thread of BLAS. The matrices are small: several threads wait for each other, which takes
+twice the time and five times the processor, and the last digits depend on how many there are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
+from functools import cache
 import math
 import os
+from typing import Any
 
 from ctsid_core.errors import Cancelled, SettingsError
 
@@ -21,6 +27,7 @@ from ctsid_core.errors import Cancelled, SettingsError
 # node and replay then need the same value.
 RATE = 5e9
 VARIABLE = 'CTSID_WORK_RATE'
+THREADS = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS')
 
 
 class Effort:
@@ -96,3 +103,27 @@ def work_rate() -> float:
         raise SettingsError([f'the environment variable {VARIABLE} is {text!r}; set it to a '
                              f'positive number, like {RATE:g}, or unset it'])
     return rate
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """
+    Return a context in which BLAS has one thread, and after which it has as many as before.
+
+    It is of the process: BLAS of other threads has one as long, too. Where several threads
+    identify at once, it ends with the first of them; before version 3.8 of threadpoolctl BLAS may
+    keep one thread then. Without that package nothing is limited.
+    """
+    # Programs of ours say so before BLAS is loaded; to look for libraries would lose a Ctrl-C.
+    said = all(os.environ.get(name) == '1' for name in THREADS)
+    libraries = None if said else _libraries()
+    return nullcontext() if libraries is None else libraries.limit(limits=1, user_api='blas')
+
+
+@cache
+def _libraries() -> Any:    # noqa: ANN401 - of a library without types
+    """Return what limits the libraries that are loaded, or None."""
+    with suppress(ImportError):
+        from threadpoolctl import ThreadpoolController
+
+        return ThreadpoolController()
+    return None

@@ -11,12 +11,11 @@ import numpy as np
 
 from ctsid_core.bases.preparation import computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
-from ctsid_core.effort import Effort
+from ctsid_core.effort import Effort, one_thread
 from ctsid_core.judge.acting import explained_best
 from ctsid_core.judge.conclusion import conclude
 from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.rules import unusable_estimate
-from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.actuators import of_actuators, with_choices

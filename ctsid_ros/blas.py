@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 
-from ctsid_core.linear.one_thread import VARIABLES
+from ctsid_core.effort import THREADS
 
 
 def use_one_thread() -> None:
@@ -15,5 +15,5 @@ def use_one_thread() -> None:
     The matrices of an identification are small: several threads only wait for each other, make
     it up to ten times slower on a busy machine, and take the cores that the robot needs.
     """
-    for name in VARIABLES:
+    for name in THREADS:
         os.environ.setdefault(name, '1')

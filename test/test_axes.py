@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ctsid_core import Grade, Record, Settings, identify
+from ctsid_core.likelihood.modal_model import PoleSteps
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at, jacobian
-from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.gains import gains
 from ctsid_core.search.by_order import _of_more_ranks, parameters, tried

@@ -6,7 +6,7 @@ from plants import PLANTS, Multisine, jittered, running
 import pytest
 
 from ctsid_core import Record, Signal
-from ctsid_core.bases.bandwidth import choose_nmax, signal_band
+from ctsid_core.bases.records import choose_nmax, signal_band
 
 
 def band_limited(rng, top: float, channels: int = 1) -> Multisine:

@@ -29,8 +29,7 @@ from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.judge.changed import _divided
-from ctsid_core.judge.jumps import jumps_of, moved_by, under_loads
-from ctsid_core.judge.slopes import slopes_of
+from ctsid_core.judge.slopes import jumps_of, moved_by, slopes_of, under_loads
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.verdict import Remedy

@@ -5,7 +5,7 @@ from marks import slow
 import numpy as np
 import pytest
 
-from ctsid_core.bases.fourier_sums import fourier_grid, fourier_sums
+from ctsid_core.bases.hermite_functions import fourier_grid, fourier_sums
 
 REACH, TOP = 20.0, 15.0
 GRID = fourier_grid(REACH, TOP)

@@ -45,7 +45,7 @@ USERS = {
                           'ctsid_ros.messages.*']),  # inside functions, where one is made
     'lz4': ['ctsid_ros.recordings.*'],
     'isal': ['ctsid_ros.recordings.mcap_chunks'],
-    'threadpoolctl': ['ctsid_core.linear.one_thread'],
+    'threadpoolctl': ['ctsid_core.effort'],
     'mcap': ['ctsid_ros.recordings.*'],
     'pyulog': ['ctsid_ros.recordings.ulog_file'],
     'pymavlink': ['ctsid_ros.recordings.ardupilot_file'],

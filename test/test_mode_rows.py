@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ctsid_core.model.realisation import pole_order
-from ctsid_core.sequence.mode_rows import NEAR, Rows, follow, paired
+from ctsid_core.sequence.alignment import NEAR, Rows, follow, paired
 
 
 def in_order(*poles: complex) -> np.ndarray:

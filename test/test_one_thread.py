@@ -14,8 +14,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from ctsid_core import Record, identify
-from ctsid_core.effort import Cancelled
-from ctsid_core.linear.one_thread import VARIABLES, one_thread
+from ctsid_core.effort import THREADS, Cancelled, one_thread
 
 
 def threads() -> set[int]:
@@ -24,7 +23,7 @@ def threads() -> set[int]:
 
 @pytest.fixture(autouse=True)
 def several(monkeypatch):
-    for name in VARIABLES:
+    for name in THREADS:
         monkeypatch.delenv(name, raising=False)
     with threadpool_limits(limits=3, user_api='blas'):
         if threads() != {3}:
@@ -59,10 +58,10 @@ def test_while_a_model_is_identified():
 
 def test_where_the_environment_says_so_no_library_is_looked_for(monkeypatch):
     """A Ctrl-C meanwhile would be lost; commands and node set these before BLAS is loaded."""
-    for name in VARIABLES:
+    for name in THREADS:
         monkeypatch.setenv(name, '1')
     assert isinstance(one_thread(), nullcontext)
-    monkeypatch.setenv(VARIABLES[0], '2')
+    monkeypatch.setenv(THREADS[0], '2')
     assert not isinstance(one_thread(), nullcontext)
 
 

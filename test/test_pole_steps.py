@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from ctsid_core.likelihood.pole_steps import PoleSteps, canonical
+from ctsid_core.likelihood.modal_model import PoleSteps, canonical
 
 
 def states(poles) -> int:

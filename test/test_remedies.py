@@ -19,7 +19,7 @@ from ctsid_core.judge import rules
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.drift import Drift, InputDrift
 from ctsid_core.judge.evidence import Evidence
-from ctsid_core.judge.stuck import Stuck
+from ctsid_core.judge.unmoved import Stuck
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.storage import load_estimate

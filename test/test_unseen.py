@@ -13,8 +13,8 @@ from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.judge.rules import retested
-from ctsid_core.judge.unseen import as_judged, failure
 from ctsid_core.model.storage import load_estimate
+from ctsid_core.search.held_out import as_judged, failure
 from ctsid_ros.cli import main
 
 DT, SPLIT = 0.01, 20.0

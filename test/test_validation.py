@@ -14,8 +14,7 @@ from ctsid_core.linear import matrix_functions
 from ctsid_core.model import simulation as simulation_module
 from ctsid_core.model.predictor import MEMORY, predictor_gain
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import fit, prediction, residual_tests, simulation, vaf
-from ctsid_core.model.whiteness import cell
+from ctsid_core.model.validation import cell, fit, prediction, residual_tests, simulation, vaf
 from ctsid_core.signals.record import Record, Signal
 
 STABLE = StateSpace([[0, 1, 0], [-4, -0.8, 1], [0, 0, -5]], [[0, 0], [1, 0], [0, 3]],

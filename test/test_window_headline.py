@@ -22,7 +22,7 @@ from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Verdict
 from ctsid_core.settings import Settings
-from ctsid_core.signals.instants import after_start, by_clock
+from ctsid_core.signals.gaps import after_start, by_clock
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
 from ctsid_ros.replay.along import Windows, along

@@ -29,8 +29,8 @@ from ctsid_core.model.covariance import Covariance, scatter_of_poles
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import cell
 from ctsid_core.model.verdict import Remedy, Verdict
-from ctsid_core.model.whiteness import cell
 from ctsid_core.signals.record import Record
 
 _MOST = 1e4           # times as long or as large: never

@@ -23,8 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.judge.jumps import under_loads
-from ctsid_core.judge.slopes import SEARCHED, Own, only, recordings, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Own, only, recordings, slopes_of, under_loads
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.residuals import (
     coloured_power,

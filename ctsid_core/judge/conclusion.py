@@ -18,8 +18,13 @@ from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.rules import NONE, UNCORRELATED, change_note, few_sines, judge, tested
-from ctsid_core.judge.stuck import stuck_outputs
-from ctsid_core.judge.unmoved import beside_rounding, rounding, rounding_notes, unmoved_notes
+from ctsid_core.judge.unmoved import (
+    beside_rounding,
+    rounding,
+    rounding_notes,
+    stuck_outputs,
+    unmoved_notes,
+)
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.residuals import (
     by_output,
@@ -35,15 +40,15 @@ from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import whiteness
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
-from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import changes_of_plant, in_record
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.own_past import AHEAD, HORIZONS, held_interval
 from ctsid_core.search.solution import DIRECT, GROWS, NEARLY, Doubt, Solution, at_fastest
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import SEARCH
-from ctsid_core.signals.instants import after_start, by_clock
+from ctsid_core.signals.gaps import after_start, by_clock
 from ctsid_core.signals.loop import never_rest
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 

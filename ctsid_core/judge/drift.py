@@ -23,8 +23,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ctsid_core.judge.changed import NOTED
-from ctsid_core.judge.jumps import INSTANTS, NOTHING, jumps_of, moved_by, under_loads
-from ctsid_core.judge.slopes import SEARCHED, Own, Slopes, only, recordings, slopes_of
+from ctsid_core.judge.slopes import (
+    INSTANTS,
+    NOTHING,
+    SEARCHED,
+    Own,
+    Slopes,
+    jumps_of,
+    moved_by,
+    only,
+    recordings,
+    slopes_of,
+    under_loads,
+)
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.residuals import coloured_power, independent, mean_square
 from ctsid_core.likelihood.samples import Residuals, Samples

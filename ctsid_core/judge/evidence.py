@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.drift import Drift
-from ctsid_core.judge.stuck import Stuck
+from ctsid_core.judge.unmoved import Stuck
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.verdict import Verdict
 from ctsid_core.search.solution import Doubt

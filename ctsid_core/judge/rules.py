@@ -25,8 +25,7 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Excitation, Grade, Rem
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.search.solution import ANY_DELAY, DIRECT, DISTURBED, GIVEN, OTHER_HOLD
 from ctsid_core.settings import Actuator, Settings
-from ctsid_core.signals.gaps import FEWEST, silent_between
-from ctsid_core.signals.instants import after_start
+from ctsid_core.signals.gaps import FEWEST, after_start, silent_between
 from ctsid_core.signals.record import Record, channel_slices
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response

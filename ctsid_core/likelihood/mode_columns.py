@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from ctsid_core.likelihood.kernel import Layout, Shape
-from ctsid_core.likelihood.pole_steps import ranks_of
+from ctsid_core.likelihood.modal_model import ranks_of
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places

@@ -29,7 +29,7 @@ from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrix_functions import chain, exponentials, led_through
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
-from ctsid_core.model.whiteness import cell
+from ctsid_core.model.validation import cell
 
 _STEPS = 10
 _HALVINGS = 6

@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dgesv
 
-from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.modal_model import ModalModel, PoleSteps, canonical, ranks_of
 from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
-from ctsid_core.likelihood.pole_steps import PoleSteps, canonical, ranks_of
 from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array, ComplexArray, Mask

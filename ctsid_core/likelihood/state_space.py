@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.modal_model import ModalModel, PoleSteps
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -22,7 +22,6 @@ from ctsid_core.likelihood.output_error import (
     jacobian,
     steps_around,
 )
-from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes

@@ -20,7 +20,7 @@ from functools import cache
 
 import numpy as np
 
-from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.modal_model import ModalModel, bounded, canonical
 from ctsid_core.likelihood.mode_columns import columns_of, evaluation_work
 from ctsid_core.likelihood.noise_gain import gain_work
 from ctsid_core.likelihood.output_error import (
@@ -33,7 +33,6 @@ from ctsid_core.likelihood.output_error import (
     errors_of,
     fit_at,
 )
-from ctsid_core.likelihood.pole_steps import bounded, canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray

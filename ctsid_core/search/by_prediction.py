@@ -27,10 +27,10 @@ import warnings
 import numpy as np
 from scipy.linalg import logm
 
+from ctsid_core.likelihood.modal_model import canonical
 from ctsid_core.likelihood.mode_columns import columns_of, least_cost
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states, states_with_gaps
 from ctsid_core.likelihood.output_error import Fit, Free, Guess, climb_roughly, fit_at, fit_states
-from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrix_functions import change_of, exponentials, phi

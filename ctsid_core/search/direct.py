@@ -19,8 +19,7 @@ from ctsid_core.likelihood.state_space import entry_changes
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import search_orders
 from ctsid_core.search.solution import DIRECT, GROWS, NO_DIRECT, Doubt
-from ctsid_core.search.subspace_poles import Subspace
-from ctsid_core.search.task import Task
+from ctsid_core.search.task import Subspace, Task
 from ctsid_core.search.tried import SEARCH, Tried, beats, choose, climbed, criterion, fitted, tried
 
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D

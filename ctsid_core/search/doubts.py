@@ -16,8 +16,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.search.by_order import SEARCHED, search_orders
 from ctsid_core.search.plants import predicted
 from ctsid_core.search.solution import ANY_DELAY, ANY_ORDER, OTHER_HOLD, Doubt, Solution
-from ctsid_core.search.subspace_poles import Subspace
-from ctsid_core.search.task import Task
+from ctsid_core.search.task import Subspace, Task
 from ctsid_core.search.tried import (
     SEARCH,
     UNEXPLAINED,

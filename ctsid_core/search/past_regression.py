@@ -32,10 +32,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.modal_model import ModalModel, bounded, in_order
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Free
-from ctsid_core.likelihood.pole_steps import bounded, in_order
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places

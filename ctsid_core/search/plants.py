@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ctsid_core.bases.records import Joint
-from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.modal_model import ModalModel, bounded
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at, fit_states
-from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of, modal_of, two_deviations
 from ctsid_core.linear.types import Array, Matrices

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from ctsid_core.effort import Effort
+from ctsid_core.likelihood.modal_model import canonical
 from ctsid_core.likelihood.mode_columns import columns_of, cost_of, least_cost
-from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import RecordSamples, Residuals, Samples, Stream
 from ctsid_core.linear.matrix_functions import chain
 from ctsid_core.linear.types import Array, ComplexArray

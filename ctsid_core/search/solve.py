@@ -20,8 +20,7 @@ from ctsid_core.search.doubts import doubt_of_delays, doubt_of_hold, doubt_of_or
 from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.plants import as_likely, disturbed, growth_of, likelier, predicted
 from ctsid_core.search.solution import GROWS, Doubt, Solution, at_bound, left_out, table_of, used
-from ctsid_core.search.subspace_poles import Subspace
-from ctsid_core.search.task import Task, samples_of_part
+from ctsid_core.search.task import Subspace, Task, samples_of_part
 from ctsid_core.search.tried import (
     LEAST,
     SEARCH,

@@ -25,7 +25,8 @@ from ctsid_core.search.solution import Solution, table_of
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import tried
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.interface import Method, MethodModel
+from ctsid_core.subspace.hd_pbsid import MethodModel
+from ctsid_core.subspace.methods import Method
 
 
 def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) -> Solution | None:

@@ -25,8 +25,7 @@ from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, simulation
-from ctsid_core.sequence.alignment import aligning, referring
-from ctsid_core.sequence.mode_rows import Rows, follow
+from ctsid_core.sequence.alignment import Rows, aligning, follow, referring
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import acting, in_words
 from ctsid_core.signals.gaps import silent_at_end

@@ -6,6 +6,9 @@ Outputs need not be known all the time. Where a measured input is not, or a held
 stay as it was sent last, or where all channels are silent at a time (a network that drops out, a
 recorder that is paused or cannot keep up), states, and what inputs hold, begin anew after it. What
 is before and what is after are as two records of one plant.
+
+Instants in words, of pauses and of all else, count from the start of the window, for that is all
+that a judge of one window knows; people read them by the clock of what the window was cut from.
 """
 
 from __future__ import annotations
@@ -13,12 +16,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
+import re
 
 import numpy as np
 
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.actuators import unramped
-from ctsid_core.signals.instants import after_start
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
 GAP_PERIODS = 5.0       # longer intervals, in usual ones, are gaps: not splined over
@@ -30,6 +33,9 @@ _MANY = 5               # times as many as any part has: a short experiment in a
 _LAST = 0.1             # of a window: silence at its end, after which it tells nothing of now, ...
 _BEFORE = 2.0           # ... if it is longer than any before it, so many times
 FEWEST = 20             # samples of an output in what can be used
+_AFTER = 's after the start of the window'
+_NUMBER = r'(?<![\w./-])(-?\d+(?:\.\d+)?)'   # no part of a name
+_INSTANTS = re.compile(rf'(?:from {_NUMBER} to )?{_NUMBER} {_AFTER}')
 
 
 def between_pauses(record: Record, lost: bool = False) -> tuple[Record, ...]:
@@ -170,3 +176,22 @@ def _known(signal: Signal, sent: Signal, first: float, last: float, record: Reco
     t = signal.time
     rows = (t >= first if from_there else t > -np.inf) & (t <= last if to_there else t < np.inf)
     return replace(signal, time=t[rows], values=signal.values[rows])
+
+
+def after_start(time: float, until: float | None = None) -> str:
+    """Return an instant, or from when to when, after the start of the window [s], in words."""
+    at = f'{time:z.1f}' if until is None else f'from {time:z.1f} to {until:z.1f}'
+    return f'{at} {_AFTER}'
+
+
+def by_clock(text: str, start: float, of: str) -> str:
+    """
+    Return a text with all such instants by another clock, which counts from the start of `of`.
+
+    The window starts at `start` [s] by that clock.
+    """
+    def shifted(found: re.Match[str]) -> str:
+        first, last = ('' if t is None else f'{float(t) + start:.1f}' for t in found.groups())
+        return f'{f"from {first} to " if first else ""}{last} s after the start of {of}'
+
+    return _INSTANTS.sub(shifted, text)

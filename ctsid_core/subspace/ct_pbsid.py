@@ -30,16 +30,14 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import eval_laguerre
 
-from ctsid_core.bases.bandwidth import output_band
-from ctsid_core.bases.records import Joint
+from ctsid_core.bases.records import Joint, output_band
 from ctsid_core.bases.takenaka_malmquist import chain, respond
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, Matrices, plain_matrices
 from ctsid_core.model.simulation import input_polynomials, knots_between, shifted
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.hd_pbsid import Levels, Tuning, realise, regress
-from ctsid_core.subspace.interface import SLOWEST, MethodModel
+from ctsid_core.subspace.hd_pbsid import SLOWEST, Levels, MethodModel, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried

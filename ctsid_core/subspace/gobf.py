@@ -39,8 +39,7 @@ from math import factorial
 
 import numpy as np
 
-from ctsid_core.bases.bandwidth import output_band
-from ctsid_core.bases.records import Joint
+from ctsid_core.bases.records import Joint, output_band
 from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre, of_one_degree, respond
 from ctsid_core.errors import SettingsError
 from ctsid_core.linear.least_squares import svd, triangle
@@ -54,7 +53,7 @@ from ctsid_core.model.simulation import (
 )
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.interface import SLOWEST, MethodModel
+from ctsid_core.subspace.hd_pbsid import SLOWEST, MethodModel
 
 KINKS = 2             # integrals of held inputs whose kinks are worth it
 _NOTHING = 1e-12      # of a signal, that interpolation misses by rounding

@@ -31,13 +31,26 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.linear.least_squares import least_norm, solve, svd, triangle
 from ctsid_core.linear.types import Array, Matrices, plain_matrices
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.interface import SLOWEST, MethodModel
 
+SLOWEST = 10.0                # least pole to look for, times the length of the record
 _NEGLIGIBLE = 1e-7            # of the outputs: innovations below it know nothing of K
 _PASTS = (2, 3, 4, 6, 8, 12)
 _LENGTHS = 4                  # values of p tried: the shortest that can hold the order
 _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
+
+
+@dataclass(frozen=True, eq=False)
+class MethodModel:
+    """A continuous-time model of the moving channels, one of those that any method offers."""
+
+    matrices: Matrices      # what belongs to single records does not count
+    # with the order and whatever the method chose filled in: they give this model
+    settings: Settings
+    singular_values: Array  # whose drop shows the order
+    condition: float        # condition number of the regression
+    # B, C and D are then those of the best simulation with its poles
+    poles_only: bool = False
 
 
 @dataclass(frozen=True)

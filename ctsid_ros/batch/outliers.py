@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.sequence.mode_rows import paired
+from ctsid_core.sequence.alignment import paired
 from ctsid_ros.report.tables import number, pole_text
 
 # Bags of which a median and a usual distance from it mean something. If their spread is ten times

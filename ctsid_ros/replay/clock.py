@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ctsid_core.model.estimate import Estimate
-from ctsid_core.signals.instants import by_clock
+from ctsid_core.signals.gaps import by_clock
 from ctsid_ros.recordings.bag import Bag
 
 _DAY = 86_400 * 10**9   # [ns]: stamps further away are of another clock than the recording

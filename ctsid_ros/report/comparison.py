@@ -14,11 +14,11 @@ import numpy as np
 
 from ctsid_core.judge.cross_check import DEVIATIONS, EFFICIENT, RELATIVE
 from ctsid_core.judge.rules import KNOWN
-from ctsid_core.judge.unseen import as_judged
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNKNOWN, Agreement
+from ctsid_core.search.held_out import as_judged
 from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import GLOSSARY, Bullets, Explorer, Figure, Gallery, Section

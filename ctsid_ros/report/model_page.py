@@ -8,12 +8,12 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ctsid_core.judge.unseen import as_judged
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction
+from ctsid_core.search.held_out import as_judged
 from ctsid_core.search.own_past import AHEAD, HORIZONS
 from ctsid_core.settings import Settings
 from ctsid_core.signals.actuators import as_acting

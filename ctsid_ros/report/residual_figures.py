@@ -10,8 +10,7 @@ import numpy as np
 from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import Validation, predictions
-from ctsid_core.model.whiteness import LAGS, cell
+from ctsid_core.model.validation import LAGS, Validation, cell, predictions
 from ctsid_core.signals.actuators import acting
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import Figure

@@ -12,7 +12,7 @@ import numpy as np
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.sequence.mode_rows import paired
+from ctsid_core.sequence.alignment import paired
 from ctsid_core.settings import slowest_sought
 
 _SLOW = 10.0  # times the slowest that is looked for: slower ones are shown as integrators

@@ -298,7 +298,7 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.identify import identify
     from ctsid_core.judge.rules import retested
-    from ctsid_core.judge.unseen import as_judged, failure
+    from ctsid_core.search.held_out import as_judged, failure
 
     estimate = identify([s.learnt for s in sources], sources[0].data.config.settings)
     model, tests = estimate.model or estimate.rejected_model, []
@@ -326,7 +326,7 @@ def _noted(outcome: Outcome, notes: tuple[str, ...]) -> Outcome:
 def _on_all(outcome: Outcome, source: Source) -> tuple[str, ...]:
     """Return how much a model that is of parts of a recording explains of all of it, in words."""
     from ctsid_core.bases.preparation import without_corrupt
-    from ctsid_core.judge.unseen import as_judged
+    from ctsid_core.search.held_out import as_judged
     from ctsid_ros.report.tables import fit_words
 
     estimate = outcome.estimate

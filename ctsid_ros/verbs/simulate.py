@@ -87,8 +87,8 @@ def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
     from ctsid_core.bases.preparation import moving, without_corrupt
     from ctsid_core.judge.rules import retested
-    from ctsid_core.judge.unseen import as_judged, failure
     from ctsid_core.model.storage import load_estimate, load_metadata
+    from ctsid_core.search.held_out import as_judged, failure
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
     from ctsid_ros.replay.results import config_of
