@@ -257,8 +257,7 @@ class Settings:
     def with_known_delays(self) -> Settings:
         """Return a copy in which dead times that are to be found count as 0."""
         if isinstance(self.delay, tuple):
-            return self.replace(delay=tuple(
-                0.0 if isinstance(d, str) else d for d in self.delay))
+            return self.replace(delay=tuple(0.0 if isinstance(d, str) else d for d in self.delay))
         return self.replace(delay=0.0) if isinstance(self.delay, str) else self
 
     def for_windows(self) -> Settings:

@@ -169,12 +169,9 @@ def _least(deviation: Callable[[float], float], wanted: float, low: float, high:
 
 def _forecast(estimate: Estimate, model: StateSpace, covariance: Covariance,
               records: Sequence[Record]) -> _Forecast:
-    """
-    Return what further data would add to what records have given.
-
-    The model of an estimate may be accepted or not; its errors are those that its deviations
-    count.
-    """
+    """Return what further data would add to what records have given."""
+    # The model of an estimate may be accepted or not; its errors are those that its deviations
+    # count.
     edges, bands, added = _edges(model, records), [], []
     noise = _innovations if estimate.by_predictions else _white
     density = partial(noise, estimate.verdict, model, records)
@@ -198,8 +195,7 @@ def _information(model: StateSpace, covariance: Covariance, density: Callable[[A
     return (rows @ rows.conj().T).real / _POINTS
 
 
-def _white(verdict: Verdict, _: StateSpace, records: Sequence[Record],
-           omega: Array) -> Array:
+def _white(verdict: Verdict, _: StateSpace, records: Sequence[Record], omega: Array) -> Array:
     """Return the density of what is not explained, as deviations count it: (M, ny) [unit^2 s]."""
     found = []
     for signals in zip(*(record.outputs for record in records), strict=True):
@@ -209,8 +205,7 @@ def _white(verdict: Verdict, _: StateSpace, records: Sequence[Record],
     return np.tile(_told(density), (len(omega), 1))
 
 
-def _innovations(verdict: Verdict, model: StateSpace, _: Sequence[Record],
-                 omega: Array) -> Array:
+def _innovations(verdict: Verdict, model: StateSpace, _: Sequence[Record], omega: Array) -> Array:
     """Return the same of a model that predicts: innovations, seen through the plant."""
     system = 1j * omega[:, np.newaxis, np.newaxis] * np.eye(model.n) - model.A
     colour = np.eye(model.ny) + model.C @ np.linalg.solve(

@@ -28,7 +28,7 @@ from ctsid_core.bases.hermite_functions import KEPT, hermite_functions
 from ctsid_core.bases.quadrature import coefficients, free_motion
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, placed
 
 
 @dataclass(frozen=True)
@@ -148,12 +148,11 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
         unit=alpha, length=end - start)
 
 
-def _by_delay(record: Record,
-              delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
+def _by_delay(record: Record, delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []
     shifts: list[float] = []
-    for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
+    for signal, channels in placed(record.inputs):
         own = delays[channels]
         alike = len(set(own)) == 1
         signals += [signal] if alike else [signal.columns([j]) for j in range(len(own))]

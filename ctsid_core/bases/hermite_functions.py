@@ -131,11 +131,8 @@ def hermite_functions(nmax: int, x: Array) -> Array:
 
 
 def _gauss_split(x: Array) -> tuple[Array, NDArray[np.int64]]:
-    """
-    Return m, j with exp(-x^2/2) = m 2^j and m near 1, without rounding error of large x^2.
-
-    The square of the leading 24 bits of x is exact; the rest is small.
-    """
+    """Return m, j with exp(-x^2/2) = m 2^j and m near 1, without rounding error of large x^2."""
+    # The square of the leading 24 bits of x is exact; the rest is small.
     lead = x.astype(np.float32).astype(np.float64)
     large = 0.5 * lead * lead
     small = 0.5 * (x - lead) * (x + lead)

@@ -16,7 +16,7 @@ from ctsid_core.model.validation import simulation
 from ctsid_core.settings import Settings
 from ctsid_core.signals.as_measured import as_measured
 from ctsid_core.signals.gaps import FEWEST, missing
-from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices, with_each
+from ctsid_core.signals.record import LARGEST, Record, Signal, placed, with_each
 from ctsid_core.signals.spikes import SURE, SURE_INPUT, Spikes, no_spikes, report, spikes
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
@@ -78,7 +78,7 @@ def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
     def whole(signal: Signal, names: tuple[str, ...]) -> tuple[Signal, str]:
         good = (np.abs(signal.values) <= LARGEST).all(axis=1)
         return (signal, '') if good.all() else (
-            replace(signal, time=signal.time[good], values=signal.values[good]),
+            signal.of(good),
             f'{np.count_nonzero(~good)} of {len(good)} samples of {", ".join(names)} are larger '
             f'than {LARGEST:g}, and were not used; check that sensor')
     return with_each(record, whole)
@@ -124,8 +124,7 @@ def usable(record: Record, settings: Settings,
         if (share := missing(signal, record.recording)) > 0.0:
             notes.append(f'{100 * share:.2g} % of the window has no samples of '
                          f'{", ".join(signal.names) or "an output"}')
-    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs),
-                                  check)
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs), check)
     outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
                                    _held_at(record, outputs, settings), check)
     inputs, u_level = _centred(inputs, settings.trim)
@@ -153,7 +152,7 @@ def _few(signal: Signal, record: Record) -> bool:
 
 
 def _names(signals: Sequence[Signal], chosen: Sequence[bool], names: Sequence[str]) -> list[str]:
-    return [name for channels, one in zip(channel_slices(signals), chosen, strict=True) if one
+    return [name for (_, channels), one in zip(placed(signals), chosen, strict=True) if one
             for name in names[channels]]
 
 
@@ -161,8 +160,7 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     """Return the times of the corrupt samples of each output that has any [s]."""
     whole, (record, _) = record, computable(record)
     found = {i: np.setdiff1d(one.time, other.time)
-             for one, other, channels in zip(whole.outputs, record.outputs,
-                                             channel_slices(whole.outputs), strict=True)
+             for (one, channels), other in zip(placed(whole.outputs), record.outputs, strict=True)
              if len(other.time) < len(one.time) for i in range(channels.start, channels.stop)}
     part = usable(as_measured(record)[0], settings)
     if not isinstance(part, Usable):
@@ -201,11 +199,10 @@ def without_corrupt(record: Record, settings: Settings, *models: StateSpace
 def _without(record: Record, found: Mapping[int, Array]) -> tuple[Record, list[str]]:
     """Return a record without samples of outputs at some times of each, and notes on them."""
     outputs, notes = [], []
-    for signal, place in zip(record.outputs, channel_slices(record.outputs), strict=True):
+    for signal, place in placed(record.outputs):
         times = [found[i] for i in range(place.start, place.stop) if i in found]
         bad = np.isin(signal.time, np.concatenate(times or [np.empty(0)]))
-        outputs.append(replace(signal, time=signal.time[~bad], values=signal.values[~bad])
-                       if bad.any() else signal)
+        outputs.append(signal.of(~bad) if bad.any() else signal)
         if bad.any():
             names = ', '.join(record.output_names[place])
             notes.append(f'{np.sum(bad)} corrupt samples of {names} are left out of the fits')
@@ -224,8 +221,7 @@ def _unexplained(record: Record, model: StateSpace) -> dict[int, Array]:
     return found
 
 
-def _with_likely_inputs(record: Record, models: Sequence[StateSpace]
-                        ) -> tuple[Record, list[str]]:
+def _with_likely_inputs(record: Record, models: Sequence[StateSpace]) -> tuple[Record, list[str]]:
     """Return a record with each input channel as it was measured, or bridged: as models say."""
     bridged, found = _despiked(list(record.inputs), ('smooth',), SURE_INPUT,
                                (None,) * len(record.inputs), lambda: None)
@@ -239,7 +235,7 @@ def _with_likely_inputs(record: Record, models: Sequence[StateSpace]
     best = replace(record, inputs=tuple(bridged))
     error, raw = left(best), left(record)
     # All are bridged at first, as in identification: two may be corrupt at the same time.
-    for k, (own, channels) in enumerate(zip(found, channel_slices(record.inputs), strict=True)):
+    for k, (own, (_, channels)) in enumerate(zip(found, placed(record.inputs), strict=True)):
         for place, name in enumerate(record.input_names[channels]):
             count = int(np.sum(own.mask[:, place]))
             if not count:
@@ -262,8 +258,8 @@ def _held_at(record: Record, signals: list[Signal],
     if not settings.feedthrough:
         return (None,) * len(signals)
     delays = settings.delays(record.nu)
-    held = [(signal, delays[channels]) for signal, channels in zip(
-        record.inputs, channel_slices(record.inputs), strict=True) if signal.hold == 'zoh']
+    held = [(signal, delays[channels]) for signal, channels in placed(record.inputs)
+            if signal.hold == 'zoh']
     late = sum((own for _, own in held), ())
     return tuple(input_polynomials([u for u, _ in held], late, s.time)[0] for s in signals)
 
@@ -291,7 +287,7 @@ def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:
 def _known_from(record: Record, settings: Settings) -> float:
     """Return the time from which all inputs, delayed, are known [s]."""
     delays, start = settings.delays(record.nu), record.start
-    for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
+    for signal, channels in placed(record.inputs):
         delay = max(delays[channels])
         if delay > 0.0 and len(signal.time):
             start = max(start, float(signal.time[0]) + delay)
@@ -300,15 +296,12 @@ def _known_from(record: Record, settings: Settings) -> float:
 
 def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ...] = (),
             keep: tuple[int, ...] = ()) -> tuple[list[Signal], tuple[int, ...], list[int]]:
-    """
-    Return the signals without constant channels, and the places of moving and constant ones.
-
-    As they act: later by the delays of all channels [s], if there are any.
-    """
+    """Return the signals without constant channels, and the places of moving and constant ones."""
+    # As they act: later by the delays of all channels [s], if there are any.
     kept_signals: list[Signal] = []
     kept: list[int] = []
     fixed: list[int] = []
-    for signal, channels in zip(signals, channel_slices(signals), strict=True):
+    for signal, channels in placed(signals):
         moves, places = np.zeros(signal.width, dtype=bool), np.r_[channels]
         late = np.array(delays[channels] or (0.0,) * signal.width)
         for d in set(late.tolist()):

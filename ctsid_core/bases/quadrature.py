@@ -103,8 +103,7 @@ def free_motion(nc: int) -> tuple[Array, Array]:
     return np.sqrt(2.0 / n[1:]), free
 
 
-def _held(t: Array, values: Array, start: float, end: float, alpha: float,
-          top: float) -> Samples:
+def _held(t: Array, values: Array, start: float, end: float, alpha: float, top: float) -> Samples:
     nodes = _with_ends(t, start, end)
     at = np.clip(np.searchsorted(t, nodes[:-1], side='right') - 1, 0, None)
     level = values[:, at]                                  # on [node k, node k + 1)
@@ -114,8 +113,7 @@ def _held(t: Array, values: Array, start: float, end: float, alpha: float,
     return Samples(x, jumps, lambda g: integrate(g, c0))
 
 
-def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
-           top: float) -> Samples:
+def _lines(t: Array, values: Array, start: float, end: float, alpha: float, top: float) -> Samples:
     nodes = _with_ends(t, start, end)
     inside = (t >= start) & (t <= end)
     level = values[:, inside] if len(nodes) == np.count_nonzero(inside) else \

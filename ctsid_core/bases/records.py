@@ -92,8 +92,7 @@ class Joint:
                 counts[name] = counts.get(name, 0.0) + count
         return list(self.numbered([notes for notes, _ in found])), counts
 
-    def project(self, settings: Settings,
-                check: Callable[[], None] = lambda: None) -> Projection:
+    def project(self, settings: Settings, check: Callable[[], None] = lambda: None) -> Projection:
         """Project the records on bases of their own, side by side; `check` is called often."""
         band = max(output_band(p.record) for p in self.parts) \
             if len(self.parts) > 1 and not settings.nmax else 0.0

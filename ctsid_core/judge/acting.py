@@ -60,8 +60,7 @@ def explained_best(solution: Solution, acted: Solution) -> Solution:
     if change.cost > NOTED and change.share > 0.0:
         before, after = ((1.0 - 0.01 * side) ** 2 for side in change.two)
         two = np.full(samples.ny, np.nan)               # that of the output of which most is left
-        two[np.argmax(seen.mean(one.power))] = change.share * before + (
-            1.0 - change.share) * after
+        two[np.argmax(seen.mean(one.power))] = change.share * before + (1.0 - change.share) * after
         changes.append(ahead(two, thin, numbers_of(samples, own) + fit.model.n + samples.ny))
     if any(paid > 0.0 for _, paid in changes):
         return solution

@@ -144,13 +144,10 @@ def _clean(change: Change) -> tuple[float, float]:
 
 
 def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
-    """
-    Return the instants at which models of each side's own leave least, if they promise enough.
-
-    Two models may leave hardly more than noise of one output, and than the whole's model does.
-    With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
-    samples before an instant says all of that side, and Q'Q of the others all of the other one.
-    """
+    """Return the instants where models of each side's own leave least, if they promise enough."""
+    # Two models may leave hardly more than noise of one output, and than the whole's model does.
+    # With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
+    # samples before an instant says all of that side, and Q'Q of the others all of the other one.
     samples = samples.thinned(SEARCHED)
     fewest, counts = _FEWEST * (3 * own[0].n + 2), samples.counts.sum(axis=0)
     slopes = slopes_of(samples, own)
@@ -200,13 +197,10 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
 
 
 def _best(samples: Samples, own: Own, change: Change) -> Change:
-    """
-    Return a division if it explains more than a drift, curves, and loads that come and go.
-
-    All to first order, from the same model, less what their numbers gain by chance; else none.
-    Where a load explains as much it may be `pushed`. A record of another plant is compared with
-    curves of all records.
-    """
+    """Return a division if it explains more than a drift, curves, and loads that come and go."""
+    # All to first order, from the same model, less what their numbers gain by chance; else none.
+    # Where a load explains as much it may be `pushed`. A record of another plant is compared with
+    # curves of all records.
     samples = (only(samples, change.record) if change.share else samples).thinned(SEARCHED)
     slopes = slopes_of(samples, own)
     rest, after = slopes.rest, (slopes.shares > change.share)[:, np.newaxis]
@@ -245,12 +239,9 @@ def numbers_of(samples: Samples, own: Own) -> int:
 
 def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
              certain: bool = False) -> Change:
-    """
-    Return what two models of a model's order miss, if they are likelier than the whole's.
-
-    Of a record that begins with the division, one of its own, beside that of all. Of a recording
-    with pauses a side has the parts before the division, or those after it.
-    """
+    """Return what two models of a model's order miss, if they are likelier than the whole's."""
+    # Of a record that begins with the division, one of its own, beside that of all. Of a recording
+    # with pauses a side has the parts before the division, or those after it.
     if samples.effort.leaves_out(_ASKED):
         return Change()
     alone, samples, (model, free) = len(recordings(samples)) == 1, only(samples, place), own
@@ -268,8 +259,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
             same = fit_states(side, model, free)
             starts = [fit_at(side, model.poles, model.delay, free, near)
                       for near in ((same, None) if samples.rank > 1 else (None,))]
-            other = climb_roughly(side, min(starts, key=lambda fit: fit.cost), free,
-                                  steps=_STEPS)
+            other = climb_roughly(side, min(starts, key=lambda fit: fit.cost), free, steps=_STEPS)
         except np.linalg.LinAlgError:
             return Change()
         one.append(residuals(side, same))

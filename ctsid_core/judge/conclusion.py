@@ -131,11 +131,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
 
 
 def _too_late(solution: Solution, seen: tuple[Excitation, ...]) -> Doubt | None:
-    """
-    Return that a dead time is about as long as any that is looked for, and its setting.
-
-    Not of an input that no output may follow: there any dead time is as likely.
-    """
+    """Return that a dead time is about as long as any that is looked for, and its setting."""
+    # Not of an input that no output may follow: there any dead time is as likely.
     longest = solution.free.longest
     return next(((f'the dead time of input {one.name} is near the longest that is looked for, '
                   f'{longest:.3g} s, and states may stand in for more', 'delay')
@@ -155,12 +152,9 @@ def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
 
 def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
                  intensity: Array | None) -> StateSpace:
-    """
-    Return the model of all channels: constant ones have zero rows and columns.
-
-    `m` is of the moving channels, `delay` of every input [s], `intensity` of the noise of the
-    moving outputs, a square matrix [unit^2 s], or None if it is not known.
-    """
+    """Return the model of all channels: constant ones have zero rows and columns."""
+    # `m` is of the moving channels, `delay` of every input [s], `intensity` of the noise of the
+    # moving outputs, a square matrix [unit^2 s], or None if it is not known.
     whole = part.whole
     n, nu, ny = len(m.A), whole.nu, whole.ny
     u, y = list(part.u), list(part.y)
@@ -194,12 +188,9 @@ def _with_trim(solution: Solution, record: int) -> Matrices:
 
 def _covariance(solution: Solution, model: StateSpace,
                 sought: tuple[bool, ...]) -> Covariance | None:
-    """
-    Return the covariance of the model of all channels.
-
-    Dead times that were `sought` and are taken for 0 are not known, either; beside D any that
-    matters was found.
-    """
+    """Return the covariance of the model of all channels."""
+    # Dead times that were `sought` and are taken for 0 are not known, either; beside D any that
+    # matters was found.
     samples, fit, free = solution.drifting or solution.source
     if not free.feedthrough:
         free = replace(free, delays=(*sought, *free.delays[len(sought):]))
@@ -316,8 +307,7 @@ def _drift(solution: Solution) -> Drift:
     if drift.cost and solution.plant is not None and not drift_of(*solution.source,
                                                                   least=0.0).cost:
         drift = Drift()
-    varying = varying_gains(*solution.simulated, names, [
-        p.u_level for p in solution.part.parts])
+    varying = varying_gains(*solution.simulated, names, [p.u_level for p in solution.part.parts])
     return max(drift, varying, key=lambda one: one.cost)
 
 
@@ -336,11 +326,8 @@ def _lead(found: Array, part: Usable) -> Array:
 
 def _asked_for_leads(sought: tuple[bool, ...], seen: tuple[Excitation, ...],
                      states: int) -> tuple[bool, ...]:
-    """
-    Return of which inputs a lead may be looked for.
-
-    Of sines it is a lag of the rest, and of one that moves with others no response is known.
-    """
+    """Return of which inputs a lead may be looked for."""
+    # Of sines it is a lag of the rest, and of one that moves with others no response is known.
     return tuple(asked and one.own >= UNCORRELATED and not few_sines(one, states)
                  for asked, one in zip(sought, seen, strict=False))
 
@@ -419,8 +406,7 @@ def _share(part: Joint, place: int, share: float) -> float:
 
 def _about(part: Joint, change: Change, drift: Drift) -> dict[str, float]:
     """Return what is known of change and drift: fits of one model and of two are in %."""
-    found = {'change_cost': change.cost,
-             'change_share': _share(part, change.record, change.share)}
+    found = {'change_cost': change.cost, 'change_share': _share(part, change.record, change.share)}
     for who, fits in (('one', change.one), ('two', change.two)):
         found |= zip((f'change_fit_{who}_before', f'change_fit_{who}_after'), fits, strict=True)
     if part.several and change.record >= 0:

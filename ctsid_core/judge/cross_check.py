@@ -72,11 +72,13 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     within the record where the other does not: a slow mode that grows is hardly seen within the
     band. To agree is more: see `Agreement`.
     """
-    problem = '' if second.ok else f'{second.status.name}. {_finding(second.verdict.reason)}.'
+    # What was found, without what to try next: that is for who asked for this method.
+    reason = second.verdict.reason
+    finding = (reason.rpartition('; ')[0] or reason).removesuffix('.')
+    problem = '' if second.ok else f'{second.status.name}. {finding}.'
     one, other = (e.model or e.rejected_model for e in (first, second))
     if one is None or other is None:
-        return Agreement(method, False, True,
-                         problem=problem or 'there is no model to compare.')
+        return Agreement(method, False, True, problem=problem or 'there is no model to compare.')
     problem = problem or _other_actuators(one, other) or _divergence(first, one, other)
     bands = _bands(first)
     if not bands:
@@ -105,11 +107,6 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     return Agreement(method, told and not contradicts, contradicts, float(relative[row, at]),
                      float(deviations[row, at]), one.input_names[j], float(bands[j][at]),
                      float(away[worst]), float(unsure[worst]), late, dead_time, problem)
-
-
-def _finding(reason: str) -> str:
-    """Return what was found, without what to try next: that is for who asked for this method."""
-    return (reason.rpartition('; ')[0] or reason).removesuffix('.')
 
 
 def _other_actuators(one: StateSpace, other: StateSpace) -> str:
@@ -175,8 +172,7 @@ def _differences(first: Estimate, second: Estimate, one: StateSpace, other: Stat
     return relative, std
 
 
-def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array,
-               j: int) -> Array:
+def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array, j: int) -> Array:
     if estimate.covariance is None:
         return np.full(len(omega), np.nan)
     changes = estimate.covariance.response_differences(model, omega)[..., j]

@@ -42,8 +42,7 @@ _CHANCE = 2.0         # deviations beyond what numbers gain by chance, that are 
 _LEAST = 0.02         # motion within a tenth of a record, over all: less is as much
 
 
-def curve_gains(samples: Samples, fit: Fit, free: Free,
-                drifting: Samples | None = None) -> Array:
+def curve_gains(samples: Samples, fit: Fit, free: Free, drifting: Samples | None = None) -> Array:
     """
     Return the points of fit that curves gain after the model, less those by chance, (ny,) [%].
 
@@ -124,15 +123,11 @@ def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
     return np.concatenate((responses.real, responses[:, :, poles.imag > 0.0].imag), axis=2)
 
 
-def _gained(base: Array, curves: Array, errors: list[Array],
-            check: Callable[[], None]) -> Array:
-    """
-    Return the points of fit that curves gain beside what the model can do, by output.
-
-    How much of each curve there is tell the errors as coloured noise (generalised least squares),
-    first as if there were no curves: gusts that a controller answers, or a plant that integrates,
-    would be taken for them else.
-    """
+def _gained(base: Array, curves: Array, errors: list[Array], check: Callable[[], None]) -> Array:
+    """Return the points of fit that curves gain beside what the model can do, by output."""
+    # How much of each curve there is tell the errors as coloured noise (generalised least
+    # squares), first as if there were no curves: gusts that a controller answers, or a plant that
+    # integrates, would be taken for them else.
     count, gains = len(base), np.zeros(errors[0].shape[1])
     if base.shape[1] + curves.shape[1] > MOST * count:
         return gains

@@ -115,17 +115,14 @@ def drift_of_inputs(names: Sequence[str], mean: Fit, drifting: Fitted) -> Drift:
         missed = samples.mean(power) - samples.mean(fit.power)
         return 100.0 * float(np.sqrt(max(float(np.max(missed)), 0.0)))
     late = any(one.late for one in found) and not any(one.gain for one in found)
-    return Drift(-1, cost(mean.power), late, found,
-                 cost(standing(*drifting).power))
+    return Drift(-1, cost(mean.power), late, found, cost(standing(*drifting).power))
 
 
 def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArray) -> InputDrift:
-    """
-    Return what residues of an input times the time say of its gain and dead time.
-
-    Of a gain that changes by a they are a b, of a dead time that changes by d they are -d p b: one
-    of them, if that explains most. Of one state nothing tells these apart: it is the gain then.
-    """
+    """Return what residues of an input times the time say of its gain and dead time."""
+    # Of a gain that changes by a they are a b, of a dead time that changes by d they are -d p b:
+    # one of them, if that explains most. Of one state nothing tells these apart: it is the gain
+    # then.
     columns, target = (np.concatenate((x.real, x.imag)) for x in (
         np.column_stack((b, -poles * b)), moved))
     for both in ((True, False), (False, True), (True, True)):
@@ -218,16 +215,12 @@ def _errors(slopes: Slopes, errors: Array) -> Residuals:
 
 
 def _spread(slopes: Slopes, moved: Array, at: Array) -> tuple[float, bool]:
-    """
-    Return the rms by which a gain that jumps differs from its mean, over what is moved.
-
-    And whether in the end it is what it was.
-    """
+    """Return the rms by which a gain that jumps differs from its mean, over what is moved."""
+    # And whether in the end it is what it was.
     columns, error = slopes.without(moved[at].T)
     jumps = np.linalg.lstsq(columns, error, rcond=NOTHING)[0]
     levels = np.append(0.0, np.cumsum(jumps))
-    gains = levels[
-        np.searchsorted(at, (slopes.shares * INSTANTS).astype(int), side='right')]
+    gains = levels[np.searchsorted(at, (slopes.shares * INSTANTS).astype(int), side='right')]
     mean = np.average(gains, weights=moved[0] ** 2)
     return (float(np.sqrt(np.average((gains - mean) ** 2, weights=moved[0] ** 2))),
             bool(abs(levels[-1]) < _BACK * np.max(np.abs(levels))))

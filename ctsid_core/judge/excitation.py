@@ -121,14 +121,10 @@ def rivals_apart(samples: Samples, model: ModalModel,
     return np.asarray(np.sqrt(found / np.maximum(motion, 1e-300)))
 
 
-def _moved_by_inputs(samples: Samples,
-                     model: ModalModel) -> Iterator[tuple[float, Array, Array]]:
-    """
-    Yield the stamps of each stream, and what each input moves there, (N, channels, nu).
-
-    As it moves from what it is where states begin. Before them the share of the stream in all
-    samples of its outputs.
-    """
+def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[float, Array, Array]]:
+    """Yield the stamps of each stream, and what each input moves there, (N, channels, nu)."""
+    # As it moves from what it is where states begin. Before them the share of the stream in all
+    # samples of its outputs.
     total = samples.counts.sum(axis=0)
     columns = columns_of(samples, model.poles, model.delay, direct=True, turned=False,
                          slopes=False)
@@ -148,7 +144,7 @@ def _moved_by_inputs(samples: Samples,
 def _uncertain(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
                omega: Array, lines: ComplexArray, width: float) -> tuple[Array, Array]:
     """
-    Return the variance of the response to each input, (M, nu), and that of outputs' motion, (ny,).
+    Return the variance of the response to each input, (M, nu), and of outputs' motion, (ny,).
 
     Outputs over their size; infinite where nothing is known.
     """
@@ -228,14 +224,12 @@ class _Acting:
 
 
 def _half_rates(signal: Signal) -> list[float]:
-    """
-    Return half the rate of each channel [rad/s]: beyond it are the edges of its hold.
-
-    Infinite where changes turn around at least as often as they go on, as those of levels, pulses
-    and noise, in however few messages: these are no samples of a motion that is smooth between.
-    A slow plant does not answer to the edges of a staircase that is sent when it changes: it may
-    be at too few frequencies, where the same one sent fifty times a second is not.
-    """
+    """Return half the rate of each channel [rad/s]: beyond it are the edges of its hold."""
+    # Infinite where changes turn around at least as often as they go on, as those of levels,
+    # pulses and noise, in however few messages: these are no samples of a motion that is smooth
+    # between. A slow plant does not answer to the edges of a staircase that is sent when it
+    # changes: it may be at too few frequencies, where the same one sent fifty times a second is
+    # not.
     found = []
     for steps in np.diff(signal.values, axis=0).T:
         steps = steps[steps != 0.0]     # a value that is sent again is no change
@@ -246,13 +240,10 @@ def _half_rates(signal: Signal) -> list[float]:
 
 def _input_spectra(samples: Samples, delay: Array
                    ) -> tuple[Array, ComplexArray, Array, list[_Acting]]:
-    """
-    Return the strongest lines of the differenced inputs, every octave alike, and what was sent.
-
-    As they act, of all records: frequencies (M,), ascending, lines (nu, M); sent (nu, N), at
-    uniform instants, centred, for inputs that move together are not told apart by their dead
-    times; and the differences of each record.
-    """
+    """Return the strongest lines of differenced inputs, every octave alike, and what was sent."""
+    # As they act, of all records: frequencies (M,), ascending, lines (nu, M); sent (nu, N), at
+    # uniform instants, centred, for inputs that move together are not told apart by their dead
+    # times; and the differences of each record.
     found = [_of_record(r, delay) for r in samples.records if r.end > r.start]
     omega, lines, sent = (np.concatenate([one[k] for one in found], axis=-1) for k in range(3))
     order = np.argsort(omega, kind='stable')
@@ -282,5 +273,4 @@ def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray
         s.between(since, record.end))])
     acting = np.diff(steps_of(held, delay, record.start, t).inputs, axis=1)
     sent = (sent - sent.mean(axis=1, keepdims=True)) * np.sqrt(t[1] - t[0])
-    return (omega[places], lines[:, places], sent,
-            _Acting(acting, t[1] - t[0], half_rates))
+    return (omega[places], lines[:, places], sent, _Acting(acting, t[1] - t[0], half_rates))

@@ -156,11 +156,8 @@ def _distance(answer: Array, step: float, model: StateSpace, j: int, excited: Ex
 
 
 def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None]:
-    """
-    Return what outputs before it add to each change of a channel, (past, ny), if they tell.
-
-    Strictly before it if outputs follow the inputs `at_once`.
-    """
+    """Return what outputs before it add to each change of a channel, (past, ny), if they tell."""
+    # Strictly before it if outputs follow the inputs `at_once`.
     outputs, changes, past = outputs_before(signal, record, at_once)
     if not past:
         return [None] * signal.width

@@ -26,7 +26,7 @@ from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.search.solution import ANY_DELAY, DIRECT, DISTURBED, GIVEN, OTHER_HOLD
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.gaps import FEWEST, after_start, silent_between
-from ctsid_core.signals.record import Record, channel_slices
+from ctsid_core.signals.record import Record, placed
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 NONE = 0.5              # the same, from which on it may be none: it is within two of them
@@ -101,8 +101,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             f'left, noise apart, is {_of_motion(e, i)}{e.worst}; '
             f'{idle or "check that these are the right signals"}.')
     # What follows nothing goes by itself.
-    follows = (e.numbers.held_out_error < _DRIVEN * e.driven) & ~unsure(
-        e.expected, e.fitted)
+    follows = (e.numbers.held_out_error < _DRIVEN * e.driven) & ~unsure(e.expected, e.fitted)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows).tolist():
         idle = _idle(e, k)
         yield Status.UNEXPLAINED, Remedy.EXCITE if idle else Remedy.SIGNALS, (
@@ -349,8 +348,7 @@ def _summary(e: Evidence) -> str:
     ahead = ', 1 sample ahead,' if e.by_prediction else ''
     unseen = f'and the part held out{ahead} to {100 * (1 - float(held)):.1f} % ' \
         if held >= 0.0 else ''
-    untested = '' if unseen else \
-        ' On the part held out a test could tell nothing.'
+    untested = '' if unseen else ' On the part held out a test could tell nothing.'
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
             f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
@@ -391,16 +389,15 @@ def unusable_estimate(status: Status, record: Record, settings: Settings,
         UNJUDGED, grade=Grade.REJECT, reason=reason, remedy=remedy))
 
 
-def _why_unusable(status: Status, record: Record, failed: str,
-                  order: int) -> tuple[Remedy, str]:
+def _why_unusable(status: Status, record: Record, failed: str, order: int) -> tuple[Remedy, str]:
     """Return why nothing of a record can be used, with the names that matter."""
     remedy, reason = REMEDIES.get(status, Remedy.SIGNALS), str(status.value)
     if failed:
         reason = (f'The arithmetic failed ({failed}); check the signals, their sizes and units, '
                   'and that the window is long enough.')
     elif status is Status.NO_EXCITATION:
-        silent = next((record.input_names[k.start].partition('[')[0] for s, k in zip(
-            record.inputs, channel_slices(record.inputs), strict=True) if np.any(silent_between(
+        silent = next((record.input_names[k.start].partition('[')[0] for s, k in placed(
+            record.inputs) if np.any(silent_between(
                 s, record.start, record.end, np.zeros(s.width)))), '')
         cure = f'if a timeout stops the robot while {silent} is silent, set `{silent}.timeout`' \
             if silent else 'choose a part of the data in which they move'
@@ -498,8 +495,7 @@ def _well(fit: Array, ratio: Array) -> bool:
     return bool(known.any() and well[known].all())
 
 
-def _collapses(names: tuple[str, ...], fit: Array, ratio: Array
-               ) -> Iterator[tuple[Remedy, str]]:
+def _collapses(names: tuple[str, ...], fit: Array, ratio: Array) -> Iterator[tuple[Remedy, str]]:
     collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH_RATIO) & (fit < _FRESH_FIT),
                          fit < EXPLAINED)
     for i in np.flatnonzero(collapsed):

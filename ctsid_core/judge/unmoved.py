@@ -39,8 +39,8 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.own_past import AHEAD
 from ctsid_core.search.solution import GROWS, Solution
 from ctsid_core.search.tried import ENOUGH
+from ctsid_core.signals.as_measured import Still, least, longest_still
 from ctsid_core.signals.record import Record
-from ctsid_core.signals.still import Still, least, longest_still
 
 _DEVIATIONS = 2.0     # of the power of rounding, by which less is no chance
 
@@ -71,12 +71,10 @@ def beside_rounding(solution: Solution, followed: Array,
     samples, m, more = solution.samples, solution.fit.model, 1.0 + followed[:, np.newaxis]
     gains, late = replace(m, c=more * m.c, D=more * m.D), m.delay + samples.interval
     # As far as the gains are for each input; a dead time that is given is known.
-    far, away = (rivals_apart(samples, m, [(1.0, one)])
-                 for one in (gains, replace(m, delay=late)))
+    far, away = (rivals_apart(samples, m, [(1.0, one)]) for one in (gains, replace(m, delay=late)))
     late = np.minimum(m.delay + samples.interval * far / np.maximum(away, 1e-300),
                       np.maximum(solution.free.longest, m.delay))
-    return [(0.5, gains), (0.5, replace(m, delay=np.where(
-        sought or False, late, m.delay)))]
+    return [(0.5, gains), (0.5, replace(m, delay=np.where(sought or False, late, m.delay)))]
 
 
 def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:

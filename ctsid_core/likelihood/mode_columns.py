@@ -209,5 +209,4 @@ def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice
     dz = np.concatenate((blocks[1], blocks[3]), axis=1)[:, modes] if slopes else z[:, :0]
     u, rates = (columns[:, at + k * (wide - 1):at + (k + 1) * (wide - 1)] if k < direct + slopes
                 else np.zeros((len(columns), wide - 1)) for k in range(2))
-    return Triangle(z, dz, u, rates, columns[:, -1], y,
-                    np.arange(channels.start, channels.stop))
+    return Triangle(z, dz, u, rates, columns[:, -1], y, np.arange(channels.start, channels.stop))

@@ -102,12 +102,9 @@ def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array], weight: Array
 
 
 def _filtering(F: Array, C: Array, Q: Array, R: Array) -> Array:
-    """
-    Return P = F P F' - F P C' (C P C' + R)^-1 C P F' + Q for many Q at once, (shares, n, n).
-
-    By doubling (Chu, Fan, Lin and Wang 2004, International Journal of Control 77): each step is
-    worth as many samples as all before.
-    """
+    """Return P = F P F' - F P C' (C P C' + R)^-1 C P F' + Q for many Q at once, (shares, n, n)."""
+    # By doubling (Chu, Fan, Lin and Wang 2004, International Journal of Control 77): each step is
+    # worth as many samples as all before.
     A, P = np.broadcast_to(F.T, Q.shape), Q
     G = np.broadcast_to(C.T @ np.linalg.solve(R, C), Q.shape)
     with np.errstate(all='ignore'):
@@ -177,12 +174,9 @@ def states_with_gaps(F: Array, L: Array, C: Array, v: Array, known: Mask, count:
 
 def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight: Array,
          effort: Effort, derivatives: bool = False) -> tuple[Array, Array, float] | None:
-    """
-    Return derivatives of -e by K, e (both over the errors' size), and its sum of squares.
-
-    None if the predictor is unstable, or changes its sign from sample to sample: continuous in
-    time there is no such predictor.
-    """
+    """Return derivatives of -e by K, e (both over the errors' size), and its sum of squares."""
+    # None if the predictor is unstable, or changes its sign from sample to sample: continuous in
+    # time there is no such predictor.
     P = F - G @ K @ C
     values, right = np.linalg.eig(P)
     own = np.max(np.abs(np.linalg.eigvals(F)), initial=_LIMIT)
@@ -214,8 +208,7 @@ def _filtered(values: ComplexArray, driven: ComplexArray) -> ComplexArray:
     return chain(values[:, np.newaxis], driven[:, np.newaxis, :])[:, 0, :-1]
 
 
-def _derivatives(values: ComplexArray, entry: ComplexArray, seen: ComplexArray,
-                 e: Array) -> Array:
+def _derivatives(values: ComplexArray, entry: ComplexArray, seen: ComplexArray, e: Array) -> Array:
     """Return d(C x) / dK, (N, n ny, ny): row by row of K."""
     n, ny = len(values), e.shape[1]
     driven = np.broadcast_to(e.T, (n, *e.T.shape)).astype(complex)
@@ -238,8 +231,7 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
     samples.effort.spend(gain_work(samples, len(m.A)))
     if len(m.A) and np.max(np.linalg.eigvals(m.A).real) < 0.0:
         with suppress(np.linalg.LinAlgError):       # none has a gain in continuous time: K is zero
-            K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step,
-                              samples.effort)
+            K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step, samples.effort)
     return replace(m, K=K), R * step
 
 

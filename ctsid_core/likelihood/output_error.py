@@ -203,14 +203,11 @@ def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slope
 
 def _eliminated(samples: Samples, fit: Fit, free: Free, around: PoleSteps,
                 n: int) -> tuple[Array, Array, Array, float]:
-    """
-    Return curvature and gradient of the first n numbers, the others at their best; and more.
-
-    The squares of the derivatives, and what is to be gained by what is linear alone. That is
-    eliminated by a QR factorisation, not in the normal equations: beside a pole near zero an
-    offset, the free response and that to the mean of an input are alike to rounding there, and
-    damping would hold them, and with them the pole.
-    """
+    """Return curvature and gradient of the first n numbers, the others at their best; and more."""
+    # The squares of the derivatives, and what is to be gained by what is linear alone. That is
+    # eliminated by a QR factorisation, not in the normal equations: beside a pole near zero an
+    # offset, the free response and that to the mean of an input are alike to rounding there, and
+    # damping would hold them, and with them the pole.
     rows, error, places = jacobian(samples, fit, free, around)
     several, width, linear = samples.ny > 1, rows.shape[1], 0.0
     moving = np.column_stack((rows[:, :n], error))
@@ -529,8 +526,7 @@ def _normalised(model: ModalModel) -> ModalModel:
         return model
     size = np.linalg.norm(model.b, axis=1)
     size[~(size > 0.0)] = 1.0
-    return replace(model, b=model.b / size[:, np.newaxis], x0=model.x0 / size,
-                   c=model.c * size)
+    return replace(model, b=model.b / size[:, np.newaxis], x0=model.x0 / size, c=model.c * size)
 
 
 def fit_states(samples: Samples, model: ModalModel, free: Free,

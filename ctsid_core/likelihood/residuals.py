@@ -57,15 +57,6 @@ def independent(errors: Residuals) -> Array:
     return np.array([sum(map(len, parts)) / _correlation(parts) for parts in by_output(errors)])
 
 
-def coloured_costs(errors: Residuals) -> Array:
-    """
-    Return -2 log likelihood of the errors of each output as coloured noise, (ny,).
-
-    That of the innovations of an autoregression of each record, its numbers paid.
-    """
-    return np.array([sum(autoregression(e)[0] for e in parts) for parts in by_output(errors)])
-
-
 def autoregression(error: Array) -> tuple[float, Array]:
     """
     Return -2 log likelihood of errors as an autoregression (Burg), and its polynomial.

@@ -15,7 +15,7 @@ from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, Timed, kernel_of
 from ctsid_core.linear.types import Array, Mask, Places
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.gaps import FEWEST
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, placed
 
 Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
 _DRIVES: WeakKeyDictionary[Signal, Drive] = WeakKeyDictionary()
@@ -184,13 +184,11 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
     for record, bad in zip(records, corrupt, strict=True):
         first = max(record.start, min(record.known_from([ahead] * record.nu), record.end))
         streams = []
-        for channels, signal, left_out in zip(channel_slices(record.outputs), record.outputs, bad,
-                                              strict=True):
-            rows = (signal.time >= first) & (signal.time <= record.end)
+        for (s, channels), left_out in zip(placed(record.outputs), bad, strict=True):
+            rows = (s.time >= first) & (s.time <= record.end)
             if left_out is not None:
                 rows &= ~left_out
-            streams.append(Stream(signal.time[rows], signal.values[rows] / size[channels],
-                                  channels))
+            streams.append(Stream(s.time[rows], s.values[rows] / size[channels], channels))
         whole = record.recording
         if whole not in recordings:
             recordings.append(whole)

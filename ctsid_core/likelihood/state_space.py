@@ -27,7 +27,7 @@ from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes
 from ctsid_core.linear.types import Array, ComplexArray, Matrices
 from ctsid_core.model.covariance import Entries
-from ctsid_core.signals.record import Signal, channel_slices
+from ctsid_core.signals.record import Signal, placed
 
 _MET = 0.03           # relative distance of two poles below which they share a block
 GAUGE = 1e-7          # relative singular value below which a direction changes nothing
@@ -185,11 +185,8 @@ def covariance_work(samples: Samples, n: int) -> float:
 
 
 def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> Array:
-    """
-    Return the covariance of the errors' sums over orthonormal directions of the simulation.
-
-    Of outputs that are sampled together with what they share.
-    """
+    """Return the covariance of the errors' sums over orthonormal directions of the simulation."""
+    # Of outputs that are sampled together with what they share.
     whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
                                             direct=free.feedthrough, turned=False))
     rows, errors, _ = jacobian(samples, whole, free)
@@ -222,13 +219,10 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
 
 def _root_of_spectra(taken: ComplexArray, noise: ComplexArray, both: Array,
                      check: Callable[[], None]) -> ComplexArray:
-    """
-    Return roots of the spectra of errors (frequencies, outputs) over both half-planes.
-
-    A spectrum is a mean over as many neighbouring frequencies as can be without error by the fit,
-    and more: what directions have `taken` out of it, (frequencies, outputs, outputs), is allowed
-    for.
-    """
+    """Return roots of the spectra of errors (frequencies, outputs) over both half-planes."""
+    # A spectrum is a mean over as many neighbouring frequencies as can be without error by the
+    # fit, and more: what directions have `taken` out of it, (frequencies, outputs, outputs), is
+    # allowed for.
     check()
     numbers = both @ np.einsum('fii->fi', taken).real
     reach = min(int(np.ceil(np.max(numbers))), len(taken) - 1)
@@ -256,13 +250,10 @@ def mean_around(values: NDArray[Any], reach: int,
 
 
 def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int, far: bool) -> Array:
-    """
-    Return rows that say what is known of dead times beyond the first order, (delays, k).
-
-    A zero of the plant may stand in for a small change of dead time, to first order exactly if a
-    held input is sampled with the outputs; a larger change the samples do show. `moving` (N, k)
-    has what columns of dead times, from `at` on, and all others move.
-    """
+    """Return rows that say what is known of dead times beyond the first order, (delays, k)."""
+    # A zero of the plant may stand in for a small change of dead time, to first order exactly if a
+    # held input is sampled with the outputs; a larger change the samples do show. `moving` (N, k)
+    # has what columns of dead times, from `at` on, and all others move.
     places = [j for j, late in enumerate(free.delays) if late]
     found = np.zeros((len(places), moving.shape[1]))
     for k, j in enumerate(places):
@@ -276,11 +267,8 @@ def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int, far: b
 
 
 def _after_0(samples: Samples, fit: Fit, free: Free) -> Fit:
-    """
-    Return the same where dead times that are 0 and free have just begun.
-
-    At 0 a held input has jumped where a sample is of the same instant; after 0 it has not.
-    """
+    """Return the same where dead times that are 0 and free have just begun."""
+    # At 0 a held input has jumped where a sample is of the same instant; after 0 it has not.
     model, late = fit.model, np.array(free.delays) & (fit.model.delay == 0.0)
     if not late.any():
         return fit
@@ -290,13 +278,11 @@ def _after_0(samples: Samples, fit: Fit, free: Free) -> Fit:
 
 
 def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, far: bool) -> Array:
-    """
-    Return how unsure free dead times are, over their deviations to first order, (delays,).
-
-    `white` are these as if noise was white [s]; `far`: see `entry_changes`. That of an input whose
-    dead time is taken for 0 is about 0, though a step to the maximum goes so many deviations
-    `ahead`; it counts with its share of the Akaike weights, beside the model without one.
-    """
+    """Return how unsure free dead times are, over their deviations to first order, (delays,)."""
+    # `white` are these as if noise was white [s]; `far`: see `entry_changes`. That of an input
+    # whose dead time is taken for 0 is about 0, though a step to the maximum goes so many
+    # deviations `ahead`; it counts with its share of the Akaike weights, beside the model without
+    # one.
     places = np.flatnonzero(free.delays)
     found = np.ones(len(places))
     for k, j in enumerate(places.tolist()):
@@ -304,8 +290,7 @@ def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, f
         if far and white[k]:
             found[k] = _shown(samples, fit, free, j, float(white[k]), far) / white[k]
         if none:
-            found[k] = max(found[k], np.sqrt(1.0 + gain)) / np.sqrt(
-                1.0 + np.exp(1.0 - 0.5 * gain))
+            found[k] = max(found[k], np.sqrt(1.0 + gain)) / np.sqrt(1.0 + np.exp(1.0 - 0.5 * gain))
     return found
 
 
@@ -348,11 +333,8 @@ def two_deviations(samples: Samples, fit: Fit, free: Free, j: int, change: float
 
 
 def _read_alike(samples: Samples, fit: Fit) -> Array:
-    """
-    Return the intervals of dead times within which D tells nothing of them, (nu,) [s].
-
-    Of a jump of a held input, D shows the dead time only where the jump passes a sample.
-    """
+    """Return the intervals of dead times within which D tells nothing of them, (nu,) [s]."""
+    # Of a jump of a held input, D shows the dead time only where the jump passes a sample.
     model = fit.model
     found = np.zeros(samples.nu)
     for j in range(samples.nu):
@@ -381,7 +363,6 @@ def _until_seen(change: Array, effect: Array) -> float:
 
 def _jumps(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
     """Return the stamps of an input, and by how much it jumps there; none if it is not held."""
-    s, own = next((s, own) for s, own in zip(signals, channel_slices(signals), strict=True)
-                  if place < own.stop)
+    s, own = next((s, own) for s, own in placed(signals) if place < own.stop)
     return (s.time[1:], np.diff(s.values[:, place - own.start])) if s.hold == 'zoh' else \
         (np.empty(0), np.empty(0))

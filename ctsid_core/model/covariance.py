@@ -249,8 +249,7 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
         return deviation
     rows = np.concatenate((poles[np.newaxis], changes)).T
     alike = np.abs(rows[:, np.newaxis] - rows) <= _EQUAL * np.max(np.abs(rows), axis=0)
-    first, place = np.unique(np.argmax(np.all(alike, axis=2), axis=1),
-                             return_inverse=True)
+    first, place = np.unique(np.argmax(np.all(alike, axis=2), axis=1), return_inverse=True)
     if len(first) < n:
         return scatter_of_poles(poles[first], changes[:, first])[place]
     _, sizes, axes = np.linalg.svd(np.hstack((changes.real, changes.imag)), full_matrices=False)

@@ -81,12 +81,9 @@ def grows(model: StateSpace, covariance: Covariance | None = None) -> bool:
 
 
 def _uncertain(model: StateSpace, covariance: Covariance | None) -> Array:
-    """
-    Return how far from 0 each pole may be and be at 0, (n,) [rad/s].
-
-    To first order, as deviations of gains are: a fast mode that is hardly known takes with it no
-    slow one that is.
-    """
+    """Return how far from 0 each pole may be and be at 0, (n,) [rad/s]."""
+    # To first order, as deviations of gains are: a fast mode that is hardly known takes with it no
+    # slow one that is.
     size = np.abs(model.poles)
     std = np.zeros(model.n) if covariance is None else \
         np.linalg.norm(covariance.pole_changes(model), axis=0)

@@ -166,8 +166,7 @@ def _part(drive: Drive, delay: Array, start: float, times: Array) -> _Part:
         u, rate = now[0], np.take_along_axis(rates, np.searchsorted(between, wanted)[of], axis=1)
     for j in range(len(v)):
         force[j] *= h ** (j + 1)
-    return _Part(lengths, which, S, D, slot, force, u, rate,
-                 v[0, np.arange(len(of)), begins[of]])
+    return _Part(lengths, which, S, D, slot, force, u, rate, v[0, np.arange(len(of)), begins[of]])
 
 
 def _joined(found: list[tuple[ComplexArray, ComplexArray]],

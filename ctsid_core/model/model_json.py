@@ -265,8 +265,7 @@ def _read_settings(value: Any, where: str) -> Settings:
 
 
 def _read_statistics(value: Any, where: str) -> dict[str, float]:
-    return {key: read.number(v, f'{where}.{key}')
-            for key, v in read.mapping(value, where).items()}
+    return {key: read.number(v, f'{where}.{key}') for key, v in read.mapping(value, where).items()}
 
 
 TOP: dict[str, Reader] = {

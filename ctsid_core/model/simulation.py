@@ -24,7 +24,7 @@ from scipy.linalg import schur, solve_sylvester
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import Modes, chain, exponentials, modes, phi
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.signals.record import Signal, channel_slices
+from ctsid_core.signals.record import Signal, placed
 
 _CHUNK = 4096  # intervals at a time where matrices are stored per interval
 _GROWTH = 5.0  # times e, that modes may grow which are simulated from their start
@@ -41,7 +41,7 @@ def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: A
     increasing knots (K,) [s] if all stamps, later by the dead times of the channels, are knots.
     """
     joined = np.zeros((4, len(knots), sum(signal.width for signal in inputs)))
-    for signal, places in zip(inputs, channel_slices(inputs), strict=True):
+    for signal, places in placed(inputs):
         own = np.asarray(delay[places])
         for d in np.unique(own):
             channels = own == d
@@ -115,7 +115,7 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
 def knots_between(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
     """Return `times` merged with the stamps of delayed inputs that lie between them [s]."""
     stamps = [times]
-    for signal, places in zip(inputs, channel_slices(inputs), strict=True):
+    for signal, places in placed(inputs):
         for d in set(delay[places]):
             late = signal.time + d
             stamps.append(late[(late > times[0]) & (late < times[-1])])
@@ -156,12 +156,9 @@ def _chained(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray
 
 
 def _parts(A: Array, length: float) -> tuple[tuple[Array, Array, Array], ...]:
-    """
-    Return the part of A that does not grow much over a length, and the part that does.
-
-    Each as the matrix that moves it, what it adds to the state, and what the state adds to it.
-    The cut is where poles are farthest apart: they may be so close that they have no parts.
-    """
+    """Return the part of A that does not grow much over a length, and the part that does."""
+    # Each as the matrix that moves it, what it adds to the state, and what the state adds to it.
+    # The cut is where poles are farthest apart: they may be so close that they have no parts.
     growth = np.sort(np.append(np.clip(length * np.linalg.eigvals(A).real, 0.0, _GROWTH),
                                (0.0, _GROWTH)))
     widest = int(np.argmax(np.diff(growth)))

@@ -108,8 +108,7 @@ class StateSpace:
         if len(given) != nu or not all(0 <= v < float('inf') for own in given for v in own):
             raise DataError(f'`actuators` is {given}; wanted are {nu}, one per input, with no '
                             'negative number')
-        object.__setattr__(self, 'actuators', tuple(
-            Actuator(*map(float, own)) for own in given))
+        object.__setattr__(self, 'actuators', tuple(Actuator(*map(float, own)) for own in given))
         for name, count in (('input_names', nu), ('input_units', nu),
                             ('output_names', ny), ('output_units', ny)):
             words = getattr(self, name)
@@ -283,11 +282,8 @@ def _numbers(name: str, value: ArrayLike) -> Array:
 
 
 def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """
-    Return a read-only copy of the wanted shape, or raise `DataError`.
-
-    An empty row stands for zeros where a matrix may be left out (D, K, x_trim, y_trim).
-    """
+    """Return a read-only copy of the wanted shape, or raise `DataError`."""
+    # An empty row stands for zeros where a matrix may be left out (D, K, x_trim, y_trim).
     array = _numbers(name, value)
     if array.shape == (0,) and name in ('D', 'K', 'x_trim', 'y_trim'):
         array = np.zeros(shape)  # not given

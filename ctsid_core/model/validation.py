@@ -26,7 +26,7 @@ from ctsid_core.model.simulation import free_response, input_polynomials, respon
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.actuators import acting, settled
 from ctsid_core.signals.gaps import between_pauses
-from ctsid_core.signals.record import Record, channel_slices
+from ctsid_core.signals.record import Record, placed
 
 LAGS = 20
 FEWEST = 50    # samples
@@ -88,11 +88,8 @@ def _compared(y: ArrayLike, y_hat: ArrayLike, sizes: Callable[[Array, Array], tu
 
 
 def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stream]]:
-    """
-    Return the merged stamps of all outputs, their samples there, and where each has its own.
-
-    From when what acts has been recorded.
-    """
+    """Return the merged stamps of all outputs, their samples there, and where each has its own."""
+    # From when what acts has been recorded.
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
     start = max(record.start, record.known_from(model.delay))
@@ -100,8 +97,7 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
     stamps = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     times = np.unique(np.concatenate(stamps))
     y, streams = np.full((len(times), record.ny), np.nan), []
-    for signal, places, own, rows in zip(
-            record.outputs, channel_slices(record.outputs), stamps, inside, strict=True):
+    for (signal, places), own, rows in zip(placed(record.outputs), stamps, inside, strict=True):
         streams.append(Stream(places, np.searchsorted(times, own)))
         y[streams[-1].rows, places] = signal.values[rows]
     return times, y, streams

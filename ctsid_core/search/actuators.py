@@ -29,7 +29,7 @@ from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
 from ctsid_core.settings import LARGEST_INPUT, LONGEST_DELAY, Actuator, Settings
 from ctsid_core.signals.actuators import in_words
-from ctsid_core.signals.record import channel_slices
+from ctsid_core.signals.record import placed
 
 APART = 0.1           # of a number: nearer to what is given is no doubt
 SURELY = 10.0         # -2 log likelihood by which what acts must be likelier: 150 to 1
@@ -65,7 +65,7 @@ def of_actuators(solution: Solution, sent: Joint, settings: Settings,
         return solution
     given = settings.actuators(whole.nu)
     unknown = {kind: settings.unknown_actuators(kind, whole.nu) for kind in Actuator._fields}
-    together = [range(k.start, k.stop) for k in channel_slices(whole.inputs)]
+    together = [range(k.start, k.stop) for _, k in placed(whole.inputs)]
     best, acting, first = solution, {k: given[j] for k, j in enumerate(u)}, Acting()
     for _ in range(_ROUNDS):
         try:
@@ -135,12 +135,9 @@ def _doubt(name: str, kind: str, given: float, value: float) -> Doubt:
 
 
 def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) -> bool:
-    """
-    Return whether a model of inputs that act with so many more numbers is to be taken.
-
-    A timeout may leave what commands do that were lost, and which look alike: it has to gain twice
-    as much. What `bends` inputs has to explain most.
-    """
+    """Return whether a model of inputs that act with so many more numbers is to be taken."""
+    # A timeout may leave what commands do that were lost, and which look alike: it has to gain
+    # twice as much. What `bends` inputs has to explain most.
     if one.simulated is None:
         return False
     own = tried(*one.simulated)
@@ -176,11 +173,8 @@ def _count(acting: Acting) -> int:
 
 def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Settings,
                acting: Acting, loop: bool) -> tuple[Acting, bool]:
-    """
-    Return what most likely lies before inputs, and whether that is sure.
-
-    Given the records as they were sent, a model, and what is known of them.
-    """
+    """Return what most likely lies before inputs, and whether that is sure."""
+    # Given the records as they were sent, a model, and what is known of them.
     effort = solution.samples.effort
     samples, fit, free = _simulation(solution, sent, settings)
     _, fit, free = model.simulated or (samples, fit, free)
@@ -240,12 +234,9 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
 
 def _beside(solution: Solution,
             settings: Settings) -> Iterator[tuple[int, str, float, ModalModel]]:
-    """
-    Yield inputs, kinds of what acts, deviations of the numbers, and the models a deviation away.
-
-    For a smaller and a larger number each. What a limit is, and the gain behind it, a command of
-    two sizes does not tell apart.
-    """
+    """Yield inputs, kinds of what acts, deviations of its numbers, and models a deviation away."""
+    # For a smaller and a larger number each. What a limit is, and the gain behind it, a command of
+    # two sizes does not tell apart.
     nu = solution.part.parts[0].whole.nu
     actuators, u = solution.settings.actuators(nu), solution.part.parts[0].u
     acting = {k: actuators[j] for k, j in enumerate(u)}
@@ -283,7 +274,7 @@ def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple
     part = sent.parts[0]
     nu, inputs = part.whole.nu, part.record.inputs
     given = settings.actuators(nu)
-    for signal, channels in zip(inputs, channel_slices(inputs), strict=True):
+    for signal, channels in placed(inputs):
         places = range(channels.start, channels.stop)
         if signal.hold != 'zoh' or len(signal.time) < 3:
             continue
@@ -297,11 +288,8 @@ def _sought(sent: Joint, settings: Settings, loop: bool) -> Iterator[tuple[tuple
 def _next(commands: Commands, screen: Commands, acting: Acting,
           sought: Sequence[tuple[tuple[int, ...], str]],
           starts: Sequence[Start]) -> tuple[Tried, Acting] | None:
-    """
-    Return what most likely lies before an input, too, and the model with it.
-
-    Each kind with the number that is likeliest: those that are tried are far apart.
-    """
+    """Return what most likely lies before an input, too, and the model with it."""
+    # Each kind with the number that is likeliest: those that are tried are far apart.
     likely = list[tuple[float, Acting, Fit, tuple[tuple[int, ...], str]]]()
     for channels, kind in sought:
         if getattr(acting[channels[0]], kind):

@@ -180,11 +180,8 @@ def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
 
 def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, free: Free,
              max_order: int, best: Tried | None = None) -> int:
-    """
-    Return the smallest order, 3 or more, whose start is nearly as good as any; halved for.
-
-    1 if even that of most states would not beat the `best` model found, at the price of few.
-    """
+    """Return the smallest order, 3 or more, whose start is nearly as good as any; halved for."""
+    # 1 if even that of most states would not beat the `best` model found, at the price of few.
     samples = grid.samples
 
     @cache
@@ -248,11 +245,8 @@ def _later(samples: Samples, n: int) -> float:
 
 
 def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> float:
-    """
-    Return what order n must reach at least, its price with it, to beat the best of those tried.
-
-    A smaller one may have any: how many samples are independent, its errors tell.
-    """
+    """Return what order n must reach, its price with it, to beat the best of those tried."""
+    # A smaller one may have any: how many samples are independent, its errors tell.
     best = found[choose(found)].fit
     return best.cost + price(samples) * parameters(samples, best, free) \
         if n > best.model.n else np.inf

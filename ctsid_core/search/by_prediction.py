@@ -218,13 +218,10 @@ def _foretold(one: PredictionFit, lost: Lost, last: Compared) -> PredictionFit:
 
 
 def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
-    """
-    Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
-
-    The noise at each input has the same effect on the outputs, over the frequencies looked at.
-    Predictors may be slower than the past of the regression, and climbs end before they are
-    there. With no noise in the plant poles are its own, those that grow mirrored.
-    """
+    """Return the likeliest Kalman filter of a plant that noise moves as inputs do, if likelier."""
+    # The noise at each input has the same effect on the outputs, over the frequencies looked at.
+    # Predictors may be slower than the past of the regression, and climbs end before they are
+    # there. With no noise in the plant poles are its own, those that grow mirrored.
     m, n = one.matrices, len(one.matrices.A)
     C = m.C / joint.size[:, np.newaxis]
     omega = np.geomspace(1.0 / joint.length, 1.0 / held_interval(joint), _NOISES)
@@ -263,11 +260,8 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
 
 def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
             more: int = 0) -> PredictionFit | None:
-    """
-    Return a predictor and how its plant predicts; None: there is no plant that does.
-
-    So many `more` numbers than are free were determined.
-    """
+    """Return a predictor and how its plant predicts; None: there is no plant that does."""
+    # So many `more` numbers than are free were determined.
     one = tried(joint, fit, free)
     one = replace(one, parameters=one.parameters + more)
     delay, nu = fit.model.delay, joint.nu - joint.ny

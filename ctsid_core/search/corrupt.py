@@ -165,8 +165,7 @@ def of_lost_inputs(solution: Solution, settings: Settings,
     """
     if not _lost_inputs(solution):
         return solution
-    given = settings.with_actuators(solution.settings.actuators(
-        solution.part.parts[0].whole.nu))
+    given = settings.with_actuators(solution.settings.actuators(solution.part.parts[0].whole.nu))
     divided = [again(each, True) for each in dict.fromkeys((settings, given))]
     _, found = min(((tried(*one.simulated).unexplained, one) for one in divided
                     if one and one.simulated), key=lambda own: own[0], default=(0.0, solution))

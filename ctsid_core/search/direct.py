@@ -57,8 +57,7 @@ def with_direct(task: Task, samples: Samples, found: dict[int, Tried], best: Tri
     with_D = orders[task.settings.order or choose(orders)]
     if not beats(with_D, fitted(known, model, free, best.fit)):
         return best, free
-    return centred(samples, fitted(samples, with_D.fit.model, direct, with_D.fit),
-                   direct), direct
+    return centred(samples, fitted(samples, with_D.fit.model, direct, with_D.fit), direct), direct
 
 
 def centred(samples: Samples, one: Tried, free: Free) -> Tried:

@@ -30,7 +30,7 @@ from ctsid_core.search.tried import (
     tried,
 )
 from ctsid_core.settings import Hold
-from ctsid_core.signals.record import Signal, channel_slices
+from ctsid_core.signals.record import Signal, placed
 
 _OTHERS: dict[Hold, tuple[Hold, ...]] = {
     'zoh': ('linear', 'smooth'), 'linear': ('zoh',), 'smooth': ('zoh',)}
@@ -57,7 +57,7 @@ def doubt_of_hold(task: Task, samples: Samples, found: dict[int, Tried], best: T
     fastest, inputs = float(np.max(np.abs(best.fit.model.poles))), samples.records[0].inputs
     own: Tried | None = None
     smaller = [one for n, one in found.items() if n <= best.fit.model.n]
-    for place, (signal, channels) in enumerate(zip(inputs, channel_slices(inputs), strict=True)):
+    for place, (signal, channels) in enumerate(placed(inputs)):
         steps = np.any(np.diff(signal.values, axis=0), axis=1)
         if len(steps) < 3 or fastest * signal.period < _SLOW or np.mean(steps) < _MOVES:
             continue

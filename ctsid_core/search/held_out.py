@@ -182,8 +182,7 @@ def as_judged(estimate: Estimate, model: StateSpace, record: Record, *,
     return prediction(model, record, HORIZONS[AHEAD])
 
 
-def failure(estimate: Estimate, found: Validation, record: Record, *, partly: bool = False
-            ) -> str:
+def failure(estimate: Estimate, found: Validation, record: Record, *, partly: bool = False) -> str:
     """
     Return which outputs a model explains as badly as a part held out must not be, or nothing.
 

@@ -84,12 +84,9 @@ def foretold(joint: Samples, fit: Fit, lost: Lost) -> Samples:
 
 def _told(m: Matrices, K: Array, record: RecordSamples, lost: Sequence[Mask],
           errors: Sequence[Array]) -> list[Signal]:
-    """
-    Return the own past of a record with what a predictor tells where it was lost.
-
-    `errors`: what stands there now less what is predicted. What another value there changes in
-    all later ones are states of the predictor (1), and in the values that are held.
-    """
+    """Return the own past of a record with what a predictor tells where it was lost."""
+    # `errors`: what stands there now less what is predicted. What another value there changes in
+    # all later ones are states of the predictor (1), and in the values that are held.
     n, ny, pasts = len(m.A), len(m.C), _past(record)
     times = np.concatenate([past.time for past in pasts])
     order = np.argsort(times, kind='stable')
@@ -146,11 +143,8 @@ def carried_on(times: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _lost_after(times: Array) -> NDArray[np.intp]:
-    """
-    Return how many samples were lost after each.
-
-    As many as are missing between those before and those after: one that is late itself is not.
-    """
+    """Return how many samples were lost after each."""
+    # As many as are missing between those before and those after: one that is late itself is not.
     lost = np.zeros(len(times), dtype=np.intp)
     if len(times) > 1:
         gaps = np.diff(times) / np.median(np.diff(times))
@@ -163,12 +157,9 @@ def _lost_after(times: Array) -> NDArray[np.intp]:
 
 
 def _before_inputs(samples: Samples) -> Samples:
-    """
-    Return the samples, those that closely follow an input put to its instant.
-
-    In closed loop an input is computed from the sample before it and tells its noise. Where
-    stamps jitter it may seem to be the earlier one, and would predict it.
-    """
+    """Return the samples, those that closely follow an input put to its instant."""
+    # In closed loop an input is computed from the sample before it and tells its noise. Where
+    # stamps jitter it may seem to be the earlier one, and would predict it.
     near = _JITTER * samples.interval
 
     def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
@@ -189,11 +180,8 @@ def _rarest(record: RecordSamples) -> Stream:
 
 
 def _as_rare(record: RecordSamples) -> RecordSamples:
-    """
-    Return a record with the samples of all outputs that came last before those of the slowest.
-
-    A predictor of the samples of several rates is another one from each of them to the next.
-    """
+    """Return a record with the last samples of all outputs before those of the slowest."""
+    # A predictor of the samples of several rates is another one from each of them to the next.
     rarest = _rarest(record)
     return replace(record, streams=tuple(
         s if s.period > _AS_RARE * rarest.period or s is rarest else s.of(np.unique(np.clip(
@@ -228,12 +216,9 @@ def _between(stamps: Array, times: Array, even: Array) -> Array:
 
 
 def _evened(times: Array) -> Array:
-    """
-    Return stamps as even as they are over the samples that predictions go ahead.
-
-    The mean of as many on both sides, as if none was lost in between; samples that are further
-    apart are apart. The first and the last one stay where they are.
-    """
+    """Return stamps as even as they are over the samples that predictions go ahead."""
+    # The mean of as many on both sides, as if none was lost in between; samples that are further
+    # apart are apart. The first and the last one stay where they are.
     lost, found = _lost_after(times), times.copy()
     for rows in np.split(np.arange(len(times)), np.flatnonzero(lost > HORIZONS[-1]) + 1):
         if not len(rows):

@@ -162,7 +162,7 @@ def _root(poles: Array, decay: float) -> Array:
 def _likeliest(gram: Array, right: Array, power: float, count: float,
                group: Places) -> tuple[Array, float, float, float]:
     """
-    Return weights, how many numbers they are worth, the power of the noise, and -2 log likelihood.
+    Return weights, how many numbers they are worth, the noise's power, and -2 log likelihood.
 
     Their prior covariance is 1 but for lambda of each group; the noise is what is left. What the
     weights cost in -2 log likelihood, log det of what the samples add, is log(count) for each

@@ -120,14 +120,11 @@ def likelier(task: Task, samples: Samples, best: Tried, free: Free, found: Predi
 
 def _predicts_better(task: Task, samples: Samples, best: Tried, found: PredictionFit,
                      clearly: float = 0.0) -> bool:
-    """
-    Return whether the plant that predictions found predicts better than a simulation's.
-
-    Where a simulation explains all but noise, a plant that grows must not predict worse where it
-    has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
-    not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
-    Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
-    """
+    """Return whether the plant that predictions found predicts better than a simulation's."""
+    # Where a simulation explains all but noise, a plant that grows must not predict worse where it
+    # has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
+    # not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
+    # Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
     fit, part = found.found.fit, task.part
     noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
@@ -237,12 +234,9 @@ def _as_it_simulates(task: Task, samples: Samples, found: PredictionFit, plant: 
 
 def _other_plants(task: Task, samples: Samples, found: PredictionFit,
                   limit: float) -> tuple[tuple[float, ModalModel], ...]:
-    """
-    Return other plants that might be right, of predictors, with their share.
-
-    Those of the predictors that it was compared with in the end, and its own with each dead time
-    two deviations off to either side, which their shares make one deviation.
-    """
+    """Return other plants that might be right, of predictors, with their share."""
+    # Those of the predictors that it was compared with in the end, and its own with each dead time
+    # two deviations off to either side, which their shares make one deviation.
     def plant(fit: Fit) -> ModalModel | None:
         m = plant_of(fit, found.samples, task.part.last, limit)
         return None if m is None else modal_of(m, samples, fit.model.delay[:samples.nu])

@@ -129,8 +129,7 @@ def _explained(own: Array, basis: Array, left: Array) -> Array:
     flat -= (flat @ basis) @ basis.T
     gram = own @ own.swapaxes(1, 2)
     scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
-    gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
-        + _RIDGE * np.eye(gram.shape[1])
+    gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) + _RIDGE * np.eye(gram.shape[1])
     pull = (flat @ left).reshape(count, width, left.shape[1]) / scale[:, :, np.newaxis]
     return np.asarray(np.sum(pull * np.linalg.solve(gram, pull), axis=1))
 
@@ -245,11 +244,8 @@ class Correlations:
 
     def _correlated(self, errors: Residuals,
                     spectra: Sequence[ComplexArray]) -> tuple[Array, Array]:
-        """
-        Return c of each output, (ny, inputs, lags), and squares of errors, (ny, 1).
-
-        Given are the conjugate spectra of inputs of each record, (inputs, lines).
-        """
+        """Return c of each output, (ny, inputs, lags), and squares of errors, (ny, 1)."""
+        # Given are the conjugate spectra of inputs of each record, (inputs, lines).
         both = np.zeros((self._samples.ny, *spectra[0].shape), dtype=complex)
         squares = np.zeros((self._samples.ny, 1))
         for cells, u, own in zip(self._cells, spectra, errors, strict=True):

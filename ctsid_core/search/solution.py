@@ -121,8 +121,7 @@ def used(task: Task, order: int, delay: Array) -> Settings:
                             delay=float(delays[0]) if alike else tuple(delays.tolist()))
 
 
-def table_of(found: dict[int, Tried], chosen: Tried,
-             settings: Settings) -> tuple[OrderTried, ...]:
+def table_of(found: dict[int, Tried], chosen: Tried, settings: Settings) -> tuple[OrderTried, ...]:
     """Return the orders among which was chosen; none if it was given."""
     if settings.order:
         return ()

@@ -68,15 +68,12 @@ class _Searched:
 
 
 def _solved(task: Task) -> Solution | None:
-    """
-    Return the model that simulates the records, or the plant that predicts them.
-
-    In open loop a plant is to simulate, unless it grows and no simulation tells it: predictions
-    are asked of what simulations leave. Without D they are asked first, and where a controller is
-    heard, or the plant grows, they are as good: simulations of what a controller holds imitate
-    what it makes of noise. Behind a stick, what an oscillation from elsewhere does to an output
-    predictions know, and inputs by chance. A drift they take up as growth.
-    """
+    """Return the model that simulates the records, or the plant that predicts them."""
+    # In open loop a plant is to simulate, unless it grows and no simulation tells it: predictions
+    # are asked of what simulations leave. Without D they are asked first, and where a controller
+    # is heard, or the plant grows, they are as good: simulations of what a controller holds
+    # imitate what it makes of noise. Behind a stick, what an oscillation from elsewhere does to an
+    # output predictions know, and inputs by chance. A drift they take up as growth.
     samples, subspace, direct = task.seen(), Subspace(task), task.settings.feedthrough
     free = replace(task.free(samples), feedthrough=False)
     sought = None if direct else predicted(task, samples, free)
@@ -118,13 +115,10 @@ def _doubts(task: Task, one: _Searched) -> tuple[Doubt | None, Doubt | None]:
 
 
 def _at_once(task: Task, samples: Samples, free: Free, sought: PredictionFit) -> Solution | None:
-    """
-    Return the plant that predictions found where no simulation is searched for.
-
-    A plant that grows predictions tell at once, and one that hardly decays, if they predict it
-    clearly better than a simulation near it would: of closed loops many states simulate the
-    record.
-    """
+    """Return the plant that predictions found where no simulation is searched for."""
+    # A plant that grows predictions tell at once, and one that hardly decays, if they predict it
+    # clearly better than a simulation near it would: of closed loops many states simulate the
+    # record.
     growth = growth_of(sought, samples)
     if growth <= (GROWS if task.settings.order else -GROWS):
         return None
@@ -133,11 +127,8 @@ def _at_once(task: Task, samples: Samples, free: Free, sought: PredictionFit) ->
 
 def _by_orders(task: Task, samples: Samples, free: Free,
                subspace: Subspace) -> tuple[Task, _Searched | None]:
-    """
-    Return the simulation without D of the order that is given, or of the best one.
-
-    Before it the task, of as many samples as the budget sufficed for.
-    """
+    """Return the simulation without D of the order that is given, or of the best one."""
+    # Before it the task, of as many samples as the budget sufficed for.
     settings = task.settings
     samples, found = search_orders(
         samples, free, subspace.poles, order=settings.order, max_order=settings.max_order,
@@ -179,17 +170,13 @@ def _without_outliers(task: Task, one: _Searched) -> tuple[Task, _Searched]:
 
 def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | None,
               disturbs: PredictionFit | None = None, grows: bool = False) -> Solution:
-    """
-    Return a simulation at the maximum of the likelihood, without dead times it needs not.
-
-    Or the plant that predictions found, if what `disturbs` it is why they do better.
-    """
+    """Return a simulation at the maximum of the likelihood, without dead times it needs not."""
+    # Or the plant that predictions found, if what `disturbs` it is why they do better.
     doubt = doubt or doubt_of_size(task, one.found)
     samples, found = one.samples, one.found
     reached = climbed(samples, one.best, one.free)
     best, free = without_needless(samples, reached, one.free, LEAST)
-    if disturbs is not None and (solved := disturbed(
-            task, samples, best, disturbs, free, found)):
+    if disturbs is not None and (solved := disturbed(task, samples, best, disturbs, free, found)):
         return solved
     late = float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
@@ -217,12 +204,9 @@ def _finished(task: Task, one: _Searched, subspace: Subspace, doubt: Doubt | Non
 
 def _where_known(task: Task, samples: Samples, found: dict[int, Tried],
                  free: Free) -> tuple[Samples, dict[int, Tried]]:
-    """
-    Return the samples, and the models of each order, that the order is chosen by.
-
-    Before a delayed input is known, what it was before acts, which further states imitate. Where
-    a smaller order is enough for the rest, the rest is what counts.
-    """
+    """Return the samples, and the models of each order, that the order is chosen by."""
+    # Before a delayed input is known, what it was before acts, which further states imitate. Where
+    # a smaller order is enough for the rest, the rest is what counts.
     chosen = task.settings.order or choose(found)
     late = float(np.max(found[chosen].fit.model.delay, initial=0.0))
     up_to = {n: one for n, one in found.items() if n <= chosen}
@@ -240,13 +224,11 @@ def _where_known(task: Task, samples: Samples, found: dict[int, Tried],
 
 
 def _neighbour(found: dict[int, Tried], chosen: int) -> int:
-    """
-    Return the chosen order, or the one beside it that is likelier in noise of any colour.
-
-    What a disturbance or a curve of the plant leaves is hardly independent, however it is counted,
-    but its own past tells most of it; and a state too few, for which a dead time stands in, shows
-    in what is new before it shows in the fit. One more has to be likelier by what a number costs.
-    """
+    """Return the chosen order, or the one beside it that is likelier in noise of any colour."""
+    # What a disturbance or a curve of the plant leaves is hardly independent, however it is
+    # counted, but its own past tells most of it; and a state too few, for which a dead time stands
+    # in, shows in what is new before it shows in the fit. One more has to be likelier by what a
+    # number costs.
     matters = found[chosen].power > LEAST ** 2
     if not matters.any():
         return chosen

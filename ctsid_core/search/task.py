@@ -125,12 +125,10 @@ class Subspace:
         return [p[p.imag >= 0.0]]
 
     def _projected(self, delay: Array) -> Subspaces | None:
-        """
-        Return the regressions, with dead times as they are given or as first found.
-
-        Small models of several inputs have any dead times: those given are a start, too, and where
-        a budget is short the first that are asked for are all; none, if they take most of it.
-        """
+        """Return the regressions, with dead times as they are given or as first found."""
+        # Small models of several inputs have any dead times: those given are a start, too, and
+        # where a budget is short the first that are asked for are all; none, if they take most of
+        # it.
         given = bool(np.array_equal(delay, self._own.delays(len(delay))))
         work = _PROJECTION + _PER_SAMPLE * sum(
             float(len(s.time)) for p in self._part.parts for s in p.record.outputs)

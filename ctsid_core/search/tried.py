@@ -30,7 +30,13 @@ import numpy as np
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING
 from ctsid_core.likelihood.output_error import STEPS, Fit, Free, climb, climb_roughly, fit_at
-from ctsid_core.likelihood.residuals import coloured_costs, coloured_power, independent, residuals
+from ctsid_core.likelihood.residuals import (
+    autoregression,
+    by_output,
+    coloured_power,
+    independent,
+    residuals,
+)
 from ctsid_core.likelihood.samples import Residuals, Samples
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 
@@ -70,8 +76,9 @@ class Tried:
 
     @cached_property
     def coloured(self) -> Array:
-        """-2 log likelihood of the errors of each output in any colour, (ny,)."""
-        return coloured_costs(self.errors)
+        """-2 log likelihood of each output's errors, an autoregression of each record, (ny,)."""
+        return np.array([sum(autoregression(e)[0] for e in parts)
+                         for parts in by_output(self.errors)])
 
     @cached_property
     def unexplained(self) -> float:

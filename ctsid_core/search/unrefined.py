@@ -90,12 +90,9 @@ def _likeliest(offered: Iterable[MethodModel], samples: Samples, own: Settings,
 
 
 def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
-    """
-    Return whether modes grow of which the samples do not show that they do.
-
-    They do where the model is likelier than the best one near it of which none grows, by more than
-    the price of a number for each of these modes.
-    """
+    """Return whether modes grow of which the samples do not show that they do."""
+    # They do where the model is likelier than the best one near it of which none grows, by more
+    # than the price of a number for each of these modes.
     poles = fit.model.poles
     growing = poles.real > 0.0
     if not growing.any():

@@ -211,12 +211,10 @@ def follow(rows: Rows, poles: ComplexArray, floor: float, first: int) -> Rows:
 
 
 def _same(old: ComplexArray, new: ComplexArray, floor: float) -> dict[int, int]:
-    """
-    Return which new pole continues each old one, by index.
-
-    First pairs continue as pairs and real poles as real poles, so that conjugates stay together.
-    What then remains is matched one by one: a pair that has become two real poles, or the reverse.
-    """
+    """Return which new pole continues each old one, by index."""
+    # First pairs continue as pairs and real poles as real poles, so that conjugates stay together.
+    # What then remains is matched one by one: a pair that has become two real poles, or the
+    # reverse.
     before, after = _modes(old), _modes(new)
     same: dict[int, int] = {}
     for width in (1, 2):

@@ -138,12 +138,9 @@ class Tracker:
         self._changed_ns = 0
 
     def _reject_straddling(self, estimate: Estimate) -> Estimate:
-        """
-        Return an estimate, rejected if an earlier window has shown a change within its window.
-
-        A change near the ends of a window hardly shows in it, and its model may be wrong all the
-        same; but it stood in the middle of a window before.
-        """
+        """Return an estimate, rejected if an earlier window showed a change within its window."""
+        # A change near the ends of a window hardly shows in it, and its model may be wrong all the
+        # same; but it stood in the middle of a window before.
         straddles = time_of(estimate, EDGE) < self._changed_ns < estimate.end_ns
         if estimate.status is Status.CHANGED:
             # The first window to show it dates it best: later ones take it for later.
@@ -162,12 +159,9 @@ def time_of(estimate: Estimate, share: float) -> int:
 
 def _with_actuators(past: _Past, settings: Settings, record: Record, estimate: Estimate,
                     cancelled: Callable[[], bool] | None) -> Estimate:
-    """
-    Return the estimate of what acts by the last GOOD model, unless its own is better.
-
-    A window may have too few silences, or too small motions, to tell it, or none, to which it is
-    all the same.
-    """
+    """Return the estimate of what acts by the last GOOD model, unless its own is better."""
+    # A window may have too few silences, or too small motions, to tell it, or none, to which it is
+    # all the same.
     if not any(map(any, past.actuators)):
         return estimate
     own, unknown = estimate.settings.actuators(record.nu), [
@@ -180,8 +174,7 @@ def _with_actuators(past: _Past, settings: Settings, record: Record, estimate: E
     if known == own or 0.0 < settings.budget <= spent:
         return estimate
     if acting(record.inputs, known) != acting(record.inputs, own):
-        left = settings.with_actuators(known).replace(
-            budget=max(settings.budget - spent, 0.0))
+        left = settings.with_actuators(known).replace(budget=max(settings.budget - spent, 0.0))
         other = identify(record, left, cancelled=cancelled)
         spent += other.statistics.get('seconds_spent', 0.0)
     if other.model is None or _merit(other) < _merit(estimate):
@@ -223,11 +216,8 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
 
 
 def _error(estimate: Estimate, record: Record) -> Array:
-    """
-    Return the rms error with which a model simulates each output of its window, if known.
-
-    On the part that was held out, if that is more: what is new it has not seen, either.
-    """
+    """Return the rms error with which a model simulates each output of its window, if known."""
+    # On the part that was held out, if that is more: what is new it has not seen, either.
     if estimate.by_predictions:
         return np.full(record.ny, np.nan)
     with np.errstate(over='ignore', invalid='ignore'):  # torn values
@@ -237,11 +227,8 @@ def _error(estimate: Estimate, record: Record) -> Array:
 
 
 def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:
-    """
-    Return the deviations of the poles in the order of the aligned model's poles.
-
-    A change of states moves poles by rounding, and poles of equal size may swap places.
-    """
+    """Return the deviations of the poles in the order of the aligned model's poles."""
+    # A change of states moves poles by rounding, and poles of equal size may swap places.
     if len(estimate.pole_std) != model.n:
         return np.full(model.n, np.nan)
     away = np.abs(aligned.poles[:, np.newaxis] - model.poles)
@@ -299,12 +286,9 @@ def _fresh(past: _Past, record: Record) -> _Test:
 
 
 def _of_worst_stretch(found: Validation, end: float, record: Record) -> Array:
-    """
-    Return the rms error of each output on that stretch before `end` [s] where it is largest.
-
-    Stretches are as long as the rest of the record: what disturbs a plant varies from one to the
-    next.
-    """
+    """Return the rms error of each output on that stretch before `end` [s] where it is largest."""
+    # Stretches are as long as the rest of the record: what disturbs a plant varies from one to the
+    # next.
     worst = _errors(found, found.times <= end)
     for b, a in pairwise(np.arange(end, record.start, end - record.end).tolist()):
         worst = np.fmax(worst, _errors(found, (found.times > a) & (found.times <= b)))

@@ -18,7 +18,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Actuator
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, placed
 
 _APART = 1e-6           # [s] that a ramp ends from a message: nearer ones are one instant
 _WORDS = {
@@ -31,8 +31,7 @@ _WORDS = {
 
 def acting(inputs: Sequence[Signal], actuators: Sequence[Actuator]) -> tuple[Signal, ...]:
     """Return inputs as they act, given the actuator of each channel; some as several signals."""
-    return tuple(one for signal, channels in zip(inputs, channel_slices(inputs), strict=True)
-                 for one in _acting(signal, actuators[channels]))
+    return tuple(one for signal, k in placed(inputs) for one in _acting(signal, actuators[k]))
 
 
 def as_acting(record: Record, actuators: Sequence[Actuator]) -> Record:
@@ -48,8 +47,7 @@ def settled(record: Record, actuators: Sequence[Actuator]) -> Record:
     All of it where that is in its second half only: as if they were where they had been sent.
     """
     start = max((
-        _settled(signal.columns([j]), own) for signal, place in zip(
-            record.inputs, channel_slices(record.inputs), strict=True)
+        _settled(signal.columns([j]), own) for signal, place in placed(record.inputs)
         if signal.hold == 'zoh' and len(signal.time)
         for j, own in enumerate(actuators[place]) if own.backlash or own.rate_limit),
         default=record.start)
@@ -75,7 +73,7 @@ def unramped(inputs: Sequence[Signal], sent: Sequence[Signal]) -> tuple[Signal, 
         return tuple(inputs)
     each = [s.columns([j]) for s in sent for j in range(s.width)]
     return tuple(own if own.hold == each[k.start].hold else each[k.start]
-                 for own, k in zip(inputs, channel_slices(inputs), strict=True))
+                 for own, k in placed(inputs))
 
 
 def behind(signal: Signal, actuator: Actuator, level: float = 0.0,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Samples that were not measured when, or as often as, they say.
+Samples that were not measured when, or as often as, they say, and outputs that stand still.
 
 Several that arrive at a time, and are stamped then: a radio, a serial port that is polled, a
 logger that writes in blocks. What was measured evenly comes with the stamps of its arrival, most
@@ -20,11 +20,15 @@ steadily, all its steps are alike.
 Samples on straight lines between those of a slower sensor, a table that was resampled, tell
 nothing new, either, their noise is no noise, and what lies between two samples tells the later one
 before it was measured. Where neighbouring lines meet the sensor was read.
+
+An output stands still where a long run of samples is equal to the last bit. Long enough not to be
+chance: coarse sensors repeat values as well, but for a small part of the window, or again and
+again.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,8 +36,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.gaps import FEWEST
-from ctsid_core.signals.record import Record, Signal, channel_slices, with_each
-from ctsid_core.signals.still import is_noise
+from ctsid_core.signals.record import Record, Signal, placed, with_each
 
 _AT_ONCE = 0.1        # of the mean interval: samples less apart arrive together
 _REGULAR = 0.8        # of the bursts have as many samples as the median one, or one more or less;
@@ -46,6 +49,12 @@ _STRAIGHT = 0.01      # of the usual change of a slope: less is none
 _PAIRED = 0.95        # of neighbours that would be pairs are
 _BLOCK = 40           # samples in which the same neighbours are
 _MOST = 0.8           # of the samples lie on lines, and of these meet where they should
+_SHARE = 0.08         # of the window in one run
+_TIMES = 3.0          # as long as the second longest run
+_FEWEST = 10          # samples in it
+_TWICE = 2.0          # as large as what the sensor resolves are steps of noise, half of them
+_TURNS = 0.3          # of the steps from sample to sample turn around: of white noise 2/3 do, of
+                      # what a sensor shows at 8 bits fewer, for some steps are 0
 
 
 def as_measured(record: Record) -> tuple[Record, tuple[str, ...]]:
@@ -108,7 +117,7 @@ def _without_repeats(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return a record with each value of slower sensors once, and a sentence on each of them."""
     found: list[Signal] = []
     notes: list[str] = []
-    for signal, channels in zip(record.outputs, channel_slices(record.outputs), strict=True):
+    for signal, channels in placed(record.outputs):
         own = [_new(y) for y in signal.values.T]
         # Neighbours of one clock stay together.
         starts = [j for j, new in enumerate(own) if not j or (new != own[j - 1]).any()]
@@ -199,12 +208,9 @@ def _read(signal: Signal) -> Signal | None:
 
 
 def _in_pairs(turns: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """
-    Return the first and last slopes of lines on which two samples lie each, or none.
-
-    Between two lines slopes turn to the same side twice, within one and to the next they do not:
-    a smooth signal always does. Which neighbours are pairs may change as clocks run apart.
-    """
+    """Return the first and last slopes of lines on which two samples lie each, or none."""
+    # Between two lines slopes turn to the same side twice, within one and to the next they do not:
+    # a smooth signal always does. Which neighbours are pairs may change as clocks run apart.
     same = np.all(turns[:-1] * turns[1:] > 0.0, axis=1)
     blocks = same[:len(same) // _BLOCK * _BLOCK].reshape(-1, _BLOCK // 2, 2).mean(axis=1)
     none = np.empty(0, dtype=np.intp)
@@ -214,3 +220,63 @@ def _in_pairs(turns: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     starts = np.arange(0, len(blocks) * _BLOCK, 2).reshape(len(blocks), -1)
     first = 2 + (starts + np.argmax(blocks, axis=1)[:, np.newaxis]).ravel()
     return first, first
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """A run of equal samples of an output, by its place among all."""
+
+    output: int
+    times: Array        # of these samples [s]
+    resolution: float   # the smallest step between neighbouring samples elsewhere
+    noise_ends: bool    # whether there is noise elsewhere, which never repeats
+
+
+def longest_still(record: Record) -> tuple[Still, ...]:
+    """Return the longest run of each output of a record, where it is too long to be chance."""
+    found = []
+    for signal, channels in placed(record.outputs):
+        inside = signal.rows(record.start, record.end)
+        times, values = signal.time[inside], signal.values[inside]
+        for output, y in enumerate(values.T, channels.start):
+            run = _longest_run(times, y, record.duration)
+            if run is not None:
+                found.append(Still(output, times[run], float(least(np.diff(y))),
+                                   _noise_ends(y, run)))
+    return tuple(found)
+
+
+def least(distances: Array) -> Array:
+    """Return the smallest of some distances (N,) or (N, m) that is one, or inf."""
+    distances = np.abs(distances)
+    return np.asarray(np.min(distances, axis=0, where=distances > 0.0, initial=np.inf))
+
+
+def _noise_ends(y: Array, run: slice) -> bool:
+    """Return whether there is noise before or after a run, of more than the sensor resolves."""
+    # An encoder that turns counts one more and one less in turns, and at rest it is still: there
+    # the value nearest to that of the run is a count away.
+    parts = (y[:run.start], y[run.stop:])
+    steps = np.abs(np.concatenate([np.diff(part) for part in parts]))
+    return is_noise(*parts) and float(np.median(steps)) > _TWICE * float(least(y - y[run.start]))
+
+
+def _longest_run(times: Array, values: Array, duration: float) -> slice | None:
+    """Return the places of a run too long to be chance, if any; other values are beside it."""
+    ends = np.flatnonzero(np.diff(values, append=np.nan) != 0.0)
+    starts = np.concatenate(([0], ends[:-1] + 1))
+    spans = times[ends] - times[starts]
+    longest = int(np.argmax(spans))
+    others = np.delete(spans, longest)
+    if len(others) < 2 or ends[longest] - starts[longest] < _FEWEST or \
+            spans[longest] < max(_SHARE * duration, _TIMES * float(np.max(others))):
+        return None
+    return slice(int(starts[longest]), int(ends[longest]) + 1)
+
+
+def is_noise(*parts: Array) -> bool:
+    """Return whether the steps from sample to sample turn around as often as those of noise."""
+    steps = [np.diff(part) for part in parts]
+    count = sum(len(step) - 1 for step in steps if len(step) > 1)
+    turns = sum(int(np.count_nonzero(step[1:] * step[:-1] < 0.0)) for step in steps)
+    return count >= _FEWEST and turns > _TURNS * count

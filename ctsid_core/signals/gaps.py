@@ -22,7 +22,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.actuators import unramped
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, placed
 
 GAP_PERIODS = 5.0       # longer intervals, in usual ones, are gaps: not splined over
 _USUAL = 0.9            # of the intervals of a signal are no longer than the usual one: pauses
@@ -61,8 +61,7 @@ def between_pauses(record: Record, lost: bool = False) -> tuple[Record, ...]:
         if last > max(first, record.start) and first < record.end:
             parts.append(_part(record, first, last))
         first = max(first, following)
-    counts = [[len(s.time[s.rows(part.start, part.end)]) for s in part.outputs]
-              for part in parts]
+    counts = [[len(s.time[s.rows(part.start, part.end)]) for s in part.outputs] for part in parts]
     kept = [max(own) >= (FEWEST if part.duration > _LONG * record.duration else _MANY * FEWEST)
             and 1 not in own and all(len(s.time) for s in part.inputs)
             for own, part in zip(counts, parts, strict=True)]
@@ -108,7 +107,7 @@ def silent_at_end(record: Record) -> tuple[tuple[str, float], ...]:
     found = []
     for signals, names in ((record.outputs, record.output_names),
                            (record.inputs, record.input_names)):
-        for s, places in zip(signals, channel_slices(signals), strict=True):
+        for s, places in placed(signals):
             own = s.time[s.rows(record.start, record.end)]
             silent = record.end - own[-1] if len(own) > 1 else 0.0
             if not (signals is record.inputs and s.hold == 'zoh') and silent > max(
@@ -117,8 +116,7 @@ def silent_at_end(record: Record) -> tuple[tuple[str, float], ...]:
     return tuple(found)
 
 
-def _silent(stamps: Array, signals: Sequence[Signal], record: Record
-            ) -> list[tuple[float, float]]:
+def _silent(stamps: Array, signals: Sequence[Signal], record: Record) -> list[tuple[float, float]]:
     """Return where all of these signals miss samples, of which these are the stamps."""
     before = np.arange(np.searchsorted(stamps[:-1], record.end))
     for s in signals:
@@ -157,15 +155,11 @@ def in_words(parts: Sequence[Record]) -> str:
 
 
 def _part(record: Record, first: float, last: float) -> Record:
-    """
-    Return what is from the end of a pause to the start of the next one.
-
-    An input that missed no samples in a pause is known through it, and is kept from before.
-    """
+    """Return what is from the end of a pause to the start of the next one."""
+    # An input that missed no samples in a pause is known through it, and is kept from before.
     inputs = tuple(_known(s, sent, first, last, record) for s, sent in zip(
         record.inputs, unramped(record.inputs, record.commands), strict=True))
-    outputs = tuple(replace(s, time=s.time[rows], values=s.values[rows])
-                    for s in record.outputs for rows in [s.rows(first, last)])
+    outputs = tuple(s.of(s.rows(first, last)) for s in record.outputs)
     return replace(record, inputs=inputs, outputs=outputs, start=max(first, record.start),
                    end=min(last, record.end), part_of=record)
 
@@ -174,8 +168,8 @@ def _known(signal: Signal, sent: Signal, first: float, last: float, record: Reco
     """Return an input without what is beyond gaps of what was sent at both ends."""
     from_there, to_there = _misses(sent, np.array([np.nextafter(first, -np.inf), last]), record)
     t = signal.time
-    rows = (t >= first if from_there else t > -np.inf) & (t <= last if to_there else t < np.inf)
-    return replace(signal, time=t[rows], values=signal.values[rows])
+    return signal.of((t >= first if from_there else t > -np.inf)
+                     & (t <= last if to_there else t < np.inf))
 
 
 def after_start(time: float, until: float | None = None) -> str:

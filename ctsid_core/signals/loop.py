@@ -97,11 +97,9 @@ def outputs_before(signal: Signal, record: Record, at_once: bool) -> tuple[Array
     times, values = signal.time[rows][-_MOST:], signal.values[rows][-_MOST:]
     # What an input is computed from has the same stamp or an earlier one.
     side: Literal['left', 'right'] = 'left' if at_once else 'right'
-    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
-            for s in record.outputs]
+    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0) for s in record.outputs]
     outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
-    return outputs, np.diff(values, axis=0).T, min(
-        _PAST, len(times) // (_EACH * outputs.shape[1]))
+    return outputs, np.diff(values, axis=0).T, min(_PAST, len(times) // (_EACH * outputs.shape[1]))
 
 
 def left_alone(own: Array, past: int) -> float:

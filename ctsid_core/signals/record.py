@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.settings import HOLDS, Hold
 
 LARGEST = 1e120     # sums of squares of larger values, and one over those, are infinite
@@ -87,6 +87,10 @@ class Signal:
         return slice(int(np.searchsorted(self.time, start, side='left')),
                      int(np.searchsorted(self.time, end, side='right')))
 
+    def of(self, rows: slice | Mask) -> Signal:
+        """Return some of the samples."""
+        return replace(self, time=self.time[rows], values=self.values[rows])
+
     def columns(self, which: Sequence[int]) -> Signal:
         """Return some of the channels."""
         names, units = (tuple(words[j] for j in which) if words else ()
@@ -100,8 +104,7 @@ class Signal:
         The context lets a held value or a spline be known at the very ends of an interval.
         """
         inside = self.rows(start, end)
-        kept = slice(max(inside.start - context, 0), inside.stop + context)
-        return replace(self, time=self.time[kept], values=self.values[kept])
+        return self.of(slice(max(inside.start - context, 0), inside.stop + context))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +228,8 @@ class Record:
 
     def known_from(self, delay: Sequence[float]) -> float:
         """Return when all that acts is known: dead times (nu,) after inputs' first values [s]."""
-        return max((float(s.time[0]) + max(delay[channels]) for s, channels in zip(
-            self.inputs, channel_slices(self.inputs), strict=True) if len(s.time)),
-            default=self.start)
+        return max((float(s.time[0]) + max(delay[channels]) for s, channels in placed(self.inputs)
+                    if len(s.time)), default=self.start)
 
     def between(self, start: float, end: float, *, lead: float = 0.0) -> Record:
         """
@@ -257,8 +259,7 @@ def with_each(record: Record, change: Callable[[Signal, tuple[str, ...]], tuple[
     notes: list[str] = []
 
     def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
-        found = [change(signal, names[channels]) for signal, channels in zip(
-            signals, channel_slices(signals), strict=True)]
+        found = [change(signal, names[channels]) for signal, channels in placed(signals)]
         notes.extend(note for _, note in found if note)
         return tuple(signal for signal, _ in found)
     inputs = record.inputs if outputs_alone else of(record.inputs, record.input_names)
@@ -266,10 +267,11 @@ def with_each(record: Record, change: Callable[[Signal, tuple[str, ...]], tuple[
     return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
 
 
-def channel_slices(signals: Sequence[Signal]) -> list[slice]:
-    """Return the places that the channels of each signal have among those of all."""
+def placed(signals: Sequence[Signal]) -> list[tuple[Signal, slice]]:
+    """Return signals, each with the places that its channels have among those of all."""
     ends = np.cumsum([signal.width for signal in signals], dtype=int).tolist()
-    return [slice(end - signal.width, end) for signal, end in zip(signals, ends, strict=True)]
+    return [(signal, slice(end - signal.width, end))
+            for signal, end in zip(signals, ends, strict=True)]
 
 
 def common_interval(signals: Sequence[Signal]) -> tuple[float, float]:

@@ -183,8 +183,7 @@ class Samples:
     def has_after(self, end_ns: int, passed_ns: int) -> bool:
         """Whether the samples wanted after `end_ns` have come, and are older than `passed_ns`."""
         wanted = bisect_right(self.stamps, end_ns) + self.after - 1
-        return not self.after or (
-            wanted < len(self.stamps) and self.stamps[wanted] <= passed_ns)
+        return not self.after or (wanted < len(self.stamps) and self.stamps[wanted] <= passed_ns)
 
     def stamp_from(self, at_ns: int) -> int | None:
         """Return the first stamp at or after `at_ns`."""

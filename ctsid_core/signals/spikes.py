@@ -232,11 +232,8 @@ def _gain(weights: Array) -> Array:
 
 
 def _distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
-    """
-    Return how far each sample lies off, the robust scale of this, and whether noise is white.
-
-    In units of the white noise that would show the same.
-    """
+    """Return how far each sample lies off, the robust scale of this, whether noise is white."""
+    # In units of the white noise that would show the same.
     off, plain = _prediction_residual(x, weights) / _gain(weights), x - np.median(x)
     scale, white = _scale(off[2:-2]), _scale(plain)
     if white < _WHITE * scale:
@@ -269,11 +266,8 @@ def _local(off: Array, scale: float, white: bool) -> Array:
 
 
 def _followed(x: Array, inputs: Array, weights: Array) -> Array:
-    """
-    Return what of a channel follows inputs at once, and jumps as they do.
-
-    Their gain is found from the jumps by Huber's estimator: spikes have little say.
-    """
+    """Return what of a channel follows inputs at once, and jumps as they do."""
+    # Their gain is found from the jumps by Huber's estimator: spikes have little say.
     gain = _gain(weights)
     columns = np.array([_prediction_residual(u, weights) / gain for u in inputs.T]).T
     off = _prediction_residual(x, weights) / gain
@@ -316,11 +310,8 @@ def _hypotheses(first: int, last: int, count: int) -> list[slice]:
 
 def _judge(channel: _Channel, x: Array, run: slice, good: Mask, local: Array,
            white: bool) -> tuple[float, slice, Mask, Array] | None:
-    """
-    Compare a run with a curve through the good samples beside it; None if none is corrupt.
-
-    Returns how far it scatters, the run, which samples are corrupt, and the run without them.
-    """
+    """Compare a run with a curve through the good samples beside it; None if none is corrupt."""
+    # Returns how far it scatters, the run, which samples are corrupt, and the run without them.
     before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
     after = run.stop + np.flatnonzero(good[run.stop:run.stop + 4 * _SIDE])
     one_sided = not white and min(len(before), len(after)) < _BESIDE

@@ -128,8 +128,7 @@ class SlidingWindow:
     def filled(self) -> float:
         """How much of the next window there is, 0 to 1; 0 while a group has had no sample."""
         start = self._start()
-        return 0.0 if start is None else min(max(
-            (self._newest - start) / self._length, 0.0), 1.0)
+        return 0.0 if start is None else min(max((self._newest - start) / self._length, 0.0), 1.0)
 
     def push(self, group: str, stamp_ns: int, values: Sequence[float]) -> bool:
         """
@@ -176,8 +175,7 @@ class SlidingWindow:
                             f'be a sample ({error}); give int nanoseconds and a sequence of '
                             'floats') from error
 
-    def push_rows(self, order: Places, rows: Sequence[Rows]
-                  ) -> list[tuple[int, int]]:
+    def push_rows(self, order: Places, rows: Sequence[Rows]) -> list[tuple[int, int]]:
         """
         Take many samples: the same as `push` of one after another.
 

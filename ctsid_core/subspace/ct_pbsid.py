@@ -66,8 +66,7 @@ def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
                 laguerre_pole=a, past=p, future=settings.future or p), orders)
 
 
-def _realised(levels: Levels, settings: Settings,
-              orders: Sequence[int]) -> Iterator[MethodModel]:
+def _realised(levels: Levels, settings: Settings, orders: Sequence[int]) -> Iterator[MethodModel]:
     """Yield the models of one pole and one p; none if there are too few instants."""
     p, a = settings.past, settings.laguerre_pole
     nz, ny = len(levels.scale), levels.counts[3]

@@ -15,7 +15,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation
 from ctsid_core.settings import Settings
 from ctsid_core.signals.actuators import as_acting
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal, placed
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import RED, Axes, Curve, Drawing, Span
 from ctsid_ros.report.tables import label, percent
@@ -219,8 +219,7 @@ def _columns(signals: Sequence[Signal]) -> Iterator[tuple[Signal, int]]:
 
 
 def _signal_of(signals: Sequence[Signal], i: int) -> Signal:
-    return next(s for s, place in zip(signals, channel_slices(signals), strict=True)
-                if place.start <= i < place.stop)
+    return next(s for s, place in placed(signals) if place.start <= i < place.stop)
 
 
 def _inside(signal: Signal, record: Record) -> Mask:

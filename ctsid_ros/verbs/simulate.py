@@ -210,7 +210,7 @@ def timeouts_suggested(model: StateSpace, record: Record, found: Validation,
     from ctsid_core.model.validation import simulation
     from ctsid_core.search.commands import TIMEOUTS
     from ctsid_core.signals.gaps import silences
-    from ctsid_core.signals.record import channel_slices
+    from ctsid_core.signals.record import placed
 
     if any(model.timeout) or not silences(record):
         return ()
@@ -218,7 +218,7 @@ def timeouts_suggested(model: StateSpace, record: Record, found: Validation,
         own._replace(timeout=timeout * (j in range(k.start, k.stop)))
         for j, own in enumerate(model.actuators))), record, trim=trim).fit)),
              model.input_names[k.start], timeout)
-        for k in channel_slices(record.inputs) for timeout in TIMEOUTS]
+        for _, k in placed(record.inputs) for timeout in TIMEOUTS]
     fit, name, timeout = max(each)
     return () if not _LESS * (100.0 - min(found.fit)) > 100.0 - fit else (
         f'with a timeout of about {timeout:.2g} s of input {name} it would be {fit:.0f} %: a '
