@@ -294,11 +294,8 @@ def longest_sought(length: float) -> float:
 
 
 def slowest_sought(length: float) -> float:
-    """
-    Return the least decay of a mode that is looked for in a record of some length [rad/s].
-
-    Nobody can tell it from 0, and nearer ones leave too few digits between a mode and the trim.
-    """
+    """Return the least decay of a mode that is looked for in a record of some length [rad/s]."""
+    # Nobody can tell it from 0, and nearer ones leave too few digits between a mode and the trim.
     return _NEAREST / length
 
 

@@ -166,12 +166,9 @@ def project(nmax: int, x: Array, weights: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def frequency_grid(nmax: int) -> Grid:
-    """
-    Return the grid for h_0 .. h_nmax, in time and in frequency up to their reach.
-
-    Beyond its turning point R, h_n falls faster than exp(-2/3 sqrt(2 R) (x - R)^(3/2)). Sums are
-    periodic with twice the reach: what is repeated meets no sample within it.
-    """
+    """Return the grid for h_0 .. h_nmax, in time and in frequency up to their reach."""
+    # Beyond its turning point R, h_n falls faster than exp(-2/3 sqrt(2 R) (x - R)^(3/2)). Sums are
+    # periodic with twice the reach: what is repeated meets no sample within it.
     turning = np.sqrt(2.0 * nmax + 1.0)
     reach = turning + (1.5 * _DECAY / np.sqrt(2.0 * turning)) ** (2.0 / 3.0)
     return fourier_grid(float(reach), float(reach))

@@ -223,12 +223,9 @@ def output_band(record: Record) -> float:
 
 
 def signal_band(signal: Signal, start: float, end: float) -> float:
-    """
-    Return the frequency up to which a signal rises above its noise in [start, end] [rad/s].
-
-    Periodogram of the interpolated signal with a window of low side lobes; the noise floor is the
-    median of the upper quarter of the frequencies, where no plant responds.
-    """
+    """Return the frequency up to which a signal rises above its noise in [start, end] [rad/s]."""
+    # Periodogram of the interpolated signal with a window of low side lobes; the noise floor is
+    # the median of the upper quarter of the frequencies, where no plant responds.
     inside = signal.between(start, end, context=0)
     count = len(inside.time)
     if count < 16:

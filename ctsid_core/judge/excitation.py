@@ -93,12 +93,9 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
 
 def rivals_apart(samples: Samples, model: ModalModel,
                  rivals: Sequence[tuple[float, ModalModel]]) -> Array:
-    """
-    Return how far apart models that might be right simulate what each input moves, (nu,).
-
-    Rms over that motion, each with its share. Lines and decays of both models do not count: trim
-    and initial state stand for these.
-    """
+    """Return how far apart models that might be right simulate what each input moves, (nu,)."""
+    # Rms over that motion, each with its share. Lines and decays of both models do not count: trim
+    # and initial state stand for these.
     if not rivals:
         return np.zeros(samples.nu)
     # From rest before any input is known to move: else a jump is within a dead time of some alone.
@@ -143,11 +140,8 @@ def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[floa
 
 def _uncertain(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
                omega: Array, lines: ComplexArray, width: float) -> tuple[Array, Array]:
-    """
-    Return the variance of the response to each input, (M, nu), and of outputs' motion, (ny,).
-
-    Outputs over their size; infinite where nothing is known.
-    """
+    """Return the variance of responses to each input, (M, nu), and of outputs' motion, (ny,)."""
+    # Outputs over their size; infinite where nothing is known.
     shape, size = (len(omega), len(lines)), samples.size
     nothing = np.full(shape, np.inf), np.full(samples.ny, np.inf)
     if covariance is None:

@@ -325,11 +325,8 @@ def _largest_first(values: Array, limit: float) -> list[int]:
 
 
 def tested(held_out: HeldOut, error: Array) -> Array:
-    """
-    Return the errors on the part held out; NaN where the rest cannot tell what to expect.
-
-    A model that most of the motion leaves so uncertain has too many states, and is tested.
-    """
+    """Return the errors on the part held out; NaN where the rest cannot tell what to expect."""
+    # A model that most of the motion leaves so uncertain has too many states, and is tested.
     return np.where(held_out.unseen & unsure(held_out.expected, error), np.nan, held_out.error)
 
 

@@ -164,18 +164,14 @@ def slopes_of(samples: Samples, own: Own) -> Slopes:
     rows, error, places = jacobian(samples, fit, free)
     shares = [(s.times - start) / (end - start) for r in samples.records
               for start, end in [r.span] for s in r.streams for _ in range(s.y.shape[1])]
-    states, delays = (places.are(which, samples.ny, len(samples.records), free.trim)
-                      for which in ('xt', 'd'))
-    return Slopes(fit, rows, error, states, np.concatenate(shares), delays, samples)
+    return Slopes(fit, rows, error, places.are('xt'), np.concatenate(shares), places.are('d'),
+                  samples)
 
 
 def under_loads(slopes: Slopes, jumps: int, common: Array) -> Left:
-    """
-    Return what loads leave that jump so often, beside common columns.
-
-    One jump after another, or two by two, whichever explains more: the first jump of a short push
-    explains nothing by itself.
-    """
+    """Return what loads leave that jump so often, beside common columns."""
+    # One jump after another, or two by two, whichever explains more: the first jump of a short
+    # push explains nothing by itself.
     steps, lefts = moved_by(slopes, None), list[Left]()
     for pairs in (False, True):
         *_, found = [], *(one for one, _ in jumps_of(slopes, steps, jumps, pairs, common))

@@ -144,11 +144,8 @@ def cost_of(squares: Array, number: Array) -> Array:
 
 def evaluation_work(samples: Samples, modes: int, *, slopes: bool = True,
                     turned: bool = True) -> float:
-    """
-    Return the work of one evaluation and the step after it, in operations (`effort.py`).
-
-    Without derivatives no step follows. Measured with the kernel, within 40 %.
-    """
+    """Return the work of one evaluation and the step after it, in operations (`effort.py`)."""
+    # Without derivatives no step follows. Measured with the kernel, within 40 %.
     count, stamps = samples.size_of_all
     columns = (2.0 + 2.0 * slopes) * modes * (samples.nu + 1) + samples.nu + samples.ny + 1
     responses = modes * (count * (samples.nu + 1) + stamps)

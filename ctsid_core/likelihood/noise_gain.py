@@ -241,12 +241,9 @@ def gain_work(samples: Samples, n: int) -> float:
 
 
 def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
-    """
-    Return the errors of all outputs at uniform instants, as coarse as the slowest output.
-
-    Zero where there is no sample within half a step: one read twice would seem to tell the next.
-    Samples that came in bursts are read at a few times as many instants, not at all between.
-    """
+    """Return the errors of all outputs at uniform instants, as coarse as the slowest output."""
+    # Zero where there is no sample within half a step: one read twice would seem to tell the next.
+    # Samples that came in bursts are read at a few times as many instants, not at all between.
     step, parts = max((cell(s.times) for r in samples.records for s in r.streams
                        if len(s.times) > 1), default=samples.interval), []
     for record, own in zip(samples.records, errors, strict=True):

@@ -190,7 +190,7 @@ def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slope
     """Return where poles, dead times and, of several outputs, b and initial states should move."""
     samples.effort.check()
     model, (dp, late, places) = fit.model, _coordinates(samples, fit.model, free, around)
-    n = places.moving(samples.ny, len(samples.records))
+    n = places.moving
     curvature, gradient, squares, linear = _eliminated(samples, fit, free, around, n) \
         if samples.kernel is None else samples.kernel.slopes(
             fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late, n)
@@ -235,8 +235,9 @@ def _coordinates(samples: Samples, model: ModalModel, free: Free,
     """Return derivatives of modes by coordinates, inputs of free dead times, and places."""
     dp = np.zeros((0, len(model.poles)), complex) if around is None else around.derivatives()
     late, nu, n = np.flatnonzero(free.delays)[:None if around else 0], samples.nu, model.n
-    return dp, late, Places(len(dp), len(late), n * nu, n,
-                            n + nu * free.feedthrough + len(samples.records) * free.trim)
+    records = len(samples.records)
+    return dp, late, Places(len(dp), len(late), n * nu, n, n + nu * free.feedthrough
+                            + records * free.trim, records * free.trim, records, samples.ny)
 
 
 def _held(model: ModalModel, free: Free, gradient: Array, places: Places,
@@ -270,7 +271,7 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
     if not np.isfinite(poles).all():
         return None
     if samples.rank > 1:
-        whole = np.zeros(places.count(samples.ny, len(samples.records)))
+        whole = np.zeros(places.count)
         whole[:len(step)] = fraction * step
         model = _with_linear(model, whole, places, free)
         if len(modes) == len(model.poles):
@@ -291,21 +292,25 @@ class Places:
     b: int
     x0: int          # of one record
     own: int         # of each output: c, D and trims
+    trims: int       # among these
+    records: int
+    ny: int
 
-    def count(self, ny: int, records: int) -> int:
-        """Return how many there are."""
-        return self.poles + self.delays + self.b + records * self.x0 + ny * self.own
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return self.poles + self.delays + self.b + self.records * self.x0 + self.ny * self.own
 
-    def moving(self, ny: int, records: int) -> int:
-        """Return how many move together: of several outputs b and initial states, too."""
-        return self.poles + self.delays + (self.b + records * self.x0 if ny > 1 else 0)
+    @property
+    def moving(self) -> int:
+        """How many move together: of several outputs b and initial states, too."""
+        return self.count - self.ny * self.own if self.ny > 1 else self.poles + self.delays
 
-    def are(self, which: str, ny: int, records: int, trim: bool) -> Mask:
+    def are(self, which: str) -> Mask:
         """Return which columns are of poles p, dead times d, b, states x, c, D or trims t."""
-        trims = records * trim
-        own = 'c' * self.x0 + 'D' * (self.own - self.x0 - trims) + 't' * trims
-        kinds = 'p' * self.poles + 'd' * self.delays + 'b' * self.b + 'x' * (records * self.x0)
-        return np.isin(list(kinds + ny * own), list(which))
+        own = 'c' * self.x0 + 'D' * (self.own - self.x0 - self.trims) + 't' * self.trims
+        kinds = 'p' * self.poles + 'd' * self.delays + 'b' * self.b + 'x' * self.records * self.x0
+        return np.isin(list(kinds + self.ny * own), list(which))
 
 
 def _driving(model: ModalModel, record: int) -> ComplexArray:
@@ -352,8 +357,8 @@ def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = 
     if samples.kernel is not None:
         return *samples.kernel.jacobian(
             fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late,
-            places.count(ny, records)), places
-    count, own = places.count(ny, records), places.own
+            places.count), places
+    count, own = places.count, places.own
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
     for r, triangles in enumerate(fit.columns.triangles):
@@ -405,7 +410,7 @@ def _with_linear(model: ModalModel, step: Array, places: Places, free: Free) -> 
     """Return the model with all that is linear moved."""
     p, n, records = model.poles, model.n, len(model.x0)
     at = places.poles + places.delays + places.b
-    end, direct = at + records * n, places.own - records * free.trim
+    end, direct = at + records * n, places.own - places.trims
     b, x0 = step[at - places.b:at].reshape(n, model.b.shape[1]), step[at:end].reshape(records, n)
     own = step[end:].reshape(len(model.c), places.own)
     return ModalModel(
@@ -464,7 +469,7 @@ def _solve(samples: Samples, fit: Fit, free: Free, which: str) -> ModalModel:
     """Return the model with some of what is linear (`Places.are`) at its best, the rest held."""
     rows, error, places = jacobian(samples, fit, free, moving=False)
     step = np.zeros(rows.shape[1])
-    own = places.are(which, samples.ny, len(samples.records), free.trim)
+    own = places.are(which)
     step[own] = least_norm(rows[:, own].T, error[np.newaxis], _RANK)[0]
     return _with_linear(fit.model, step, places, free)
 

@@ -58,11 +58,8 @@ def independent(errors: Residuals) -> Array:
 
 
 def autoregression(error: Array) -> tuple[float, Array]:
-    """
-    Return -2 log likelihood of errors as an autoregression (Burg), and its polynomial.
-
-    The polynomial makes innovations of errors. Schwarz's criterion chooses its degree.
-    """
+    """Return -2 log likelihood of errors as an autoregression (Burg), and its polynomial."""
+    # The polynomial makes innovations of errors. Schwarz's criterion chooses its degree.
     count, polynomial = len(error), np.ones(1)
     if not count:
         return 0.0, polynomial
@@ -100,12 +97,9 @@ def _correlation(parts: list[Array]) -> float:
 
 
 def white_part(errors: Residuals) -> Array:
-    """
-    Return the rms of the white part of the errors of each output, (ny,).
-
-    From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6). Noise that is
-    stronger the faster it is, as of differences, has less: no more than runs of samples vary.
-    """
+    """Return the rms of the white part of the errors of each output, (ny,)."""
+    # From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6). Noise that is
+    # stronger the faster it is, as of differences, has less: no more than runs of samples vary.
     found = []
     for parts in by_output(errors):
         bent = np.concatenate([e[2:] - 2.0 * e[1:-1] + e[:-2] for e in parts])
@@ -129,12 +123,9 @@ def coloured_power(errors: Residuals) -> Array:
 
 
 def motion_within(samples: Samples, errors: Residuals) -> Array:
-    """
-    Return the rms of what a model moves around its mean in a tenth of a record, (ny,).
-
-    One large step makes most of the standard deviation of a window, and errors of all that moves
-    besides look small over it.
-    """
+    """Return the rms of what a model moves around its mean in a tenth of a record, (ny,)."""
+    # One large step makes most of the standard deviation of a window, and errors of all that moves
+    # besides look small over it.
     squares = np.zeros(samples.ny)
     for record, own in zip(samples.records, errors, strict=True):
         edges = np.linspace(*record.span, _MOTION + 1)[1:-1]

@@ -124,9 +124,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
     width = rows.shape[1]
     samples.effort.spend(covariance_work(samples, model.n))
     one = 'c' if samples.ny == 1 else 'b' if samples.nu == 1 else ''      # it is 1 then
-    nuisance, still = (places.are(which, samples.ny, len(samples.records), free.trim)
-                       for which in ('xt', 'xt' + one))
-    wanted = ~still
+    nuisance, wanted = places.are('xt'), ~places.are('xt' + one)
     apart = orthonormal(rows[:, nuisance], _SAME)
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]

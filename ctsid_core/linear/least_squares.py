@@ -93,12 +93,9 @@ def triangle(columns: Array) -> Array:
 
 
 def svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """
-    Return the thin singular value decomposition, also where the fast algorithm gives up.
-
-    Divide and conquer (LAPACK's gesdd) fails to converge on rare matrices that are perfectly
-    sound; the QR iteration (gesvd) is slower and does not.
-    """
+    """Return the thin singular value decomposition, also where the fast algorithm gives up."""
+    # Divide and conquer (LAPACK's gesdd) fails to converge on rare matrices that are perfectly
+    # sound; the QR iteration (gesvd) is slower and does not.
     try:
         left, s, right = np.linalg.svd(matrix, full_matrices=False)
     except np.linalg.LinAlgError:

@@ -64,12 +64,9 @@ def balanced(A: Array) -> tuple[Array, Array]:
 
 
 def phi(z: Array | ComplexArray, count: int) -> list[ComplexArray]:
-    """
-    Return phi_0 ... phi_count of (1), elementwise, to rounding for any z with Re z < 700.
-
-    Recursion (1) loses all digits for small z; there the last one comes from its power series
-    and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!. All are real if z is.
-    """
+    """Return phi_0 ... phi_count of (1), elementwise, to rounding for any z with Re z < 700."""
+    # Recursion (1) loses all digits for small z; there the last one comes from its power series
+    # and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!. All are real if z is.
     small = np.abs(z) < 1
     if count and z.size and small.all():
         found = [_phi_series(z, count)]
@@ -122,11 +119,8 @@ def chain(factor: Array | ComplexArray, push: Array | ComplexArray) -> ComplexAr
 
 
 def led_through(moves: Array, pushes: Array, start: Array) -> Array:
-    """
-    Return x of x_(k+1) = moves_k x_k + pushes_k, (N, n, w), of the first one, (n, w).
-
-    In as many blocks as each is long, all of them at a time: what each makes of its start first.
-    """
+    """Return x of x_(k+1) = moves_k x_k + pushes_k, (N, n, w), of the first one, (n, w)."""
+    # In as many blocks as each is long, all of them at a time: what each makes of its start first.
     count, n, width = pushes.shape
     long = max(int(np.sqrt(count)), 1)
     blocks = -(-count // long)

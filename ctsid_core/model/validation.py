@@ -301,11 +301,8 @@ def whiteness(e: Array) -> float:
 
 
 def cell(times: Array) -> float:
-    """
-    Return the median interval of stamps (N,), N > 1 [s].
-
-    More for those that came in bursts: there are a few times as many cells, not all that fit.
-    """
+    """Return the median interval of stamps (N,), N > 1 [s]."""
+    # More for those that came in bursts: there are a few times as many cells, not all that fit.
     return float(max(np.median(np.diff(times)), np.ptp(times) / (_CELLS * len(times))))
 
 

@@ -169,11 +169,8 @@ def _fewer(fit: Fit) -> Iterator[tuple[ComplexArray, Guess | None]]:
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
-    """
-    Return the order nearest to the best, within `MORE`, that was not looked at; 0: none.
-
-    Of two the larger one: time may end before the other, and a state too many does less harm.
-    """
+    """Return the order nearest to the best, within `MORE`, that was not looked at; 0: none."""
+    # Of two the larger one: time may end before the other, and a state too many does less harm.
     return min((n for n in orders if n not in looked and abs(n - best) <= MORE),
                key=lambda n: (abs(n - best), -n), default=0)
 
@@ -290,12 +287,9 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
 
 
 def shifted(samples: Samples, fit: Fit, free: Free, correlations: Correlations) -> Fit:
-    """
-    Return the same, or where dead times of one input lead with which its modes explain more.
-
-    A climb ends at the nearest maximum: where all steps of an input that is held come one too
-    late, or where the dead time of one that explains little began.
-    """
+    """Return the same, or where dead times of one input lead with which its modes explain more."""
+    # A climb ends at the nearest maximum: where all steps of an input that is held come one too
+    # late, or where the dead time of one that explains little began.
     late = [*_by_correlation(samples, fit.model, free, correlations)]
     while not samples.effort.beyond(SEARCH):
         others, old = [fit], fit.model.delay

@@ -415,11 +415,8 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
 
 
 def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
-    """
-    Return changes of A, B, C and dead times of the plant, from those of its predictor (1).
-
-    Those of modes as they are found: on the axis they would not move, and seem to be known.
-    """
+    """Return changes of A, B, C and dead times of the plant, from those of its predictor (1)."""
+    # Those of modes as they are found: on the axis they would not move, and seem to be known.
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
         held_interval(samples)
     K, dK = m.B[:, nu:] / samples.size, changes.B[:, :, nu:] / samples.size

@@ -61,12 +61,9 @@ def with_direct(task: Task, samples: Samples, found: dict[int, Tried], best: Tri
 
 
 def centred(samples: Samples, one: Tried, free: Free) -> Tried:
-    """
-    Return a model with D at the mean of the dead times that the samples allow.
-
-    In the dead time of D the likelihood is flat but where a jump of the input passes a sample: any
-    point of what is flat is a maximum, and on other data the middle errs least.
-    """
+    """Return a model with D at the mean of the dead times that the samples allow."""
+    # In the dead time of D the likelihood is flat but where a jump of the input passes a sample:
+    # any point of what is flat is a maximum, and on other data the middle errs least.
     fit = one.fit
     late = np.array(free.delays) & (fit.model.delay > 0.0)
     for j in np.flatnonzero(late & fit.model.D.any(axis=0)).tolist():

@@ -44,16 +44,13 @@ _JUMP = 1e-6          # of an interval, in which it goes to what it is
 
 def doubt_of_hold(task: Task, samples: Samples, found: dict[int, Tried], best: Tried,
                   free: Free) -> Doubt | None:
-    """
-    Return that an input does not do what its hold says between its samples, and what to set.
-
-    A command that is smooth and was recorded at a low rate is no staircase. Taken for one it is
-    half an interval late, and has edges; dead times, poles and further states stand in for that,
-    and the fit of the record shows nothing of it. Models of the same number of states or fewer,
-    with the input on straight lines and on curves, have as many numbers. In a loop lines to the
-    next command know the noise that its controller made it of: there they have to explain more as
-    well if they go to what the commands before tell of it.
-    """
+    """Return that an input does not do what its hold says between its samples, and what to set."""
+    # A command that is smooth and was recorded at a low rate is no staircase. Taken for one it is
+    # half an interval late, and has edges; dead times, poles and further states stand in for that,
+    # and the fit of the record shows nothing of it. Models of the same number of states or fewer,
+    # with the input on straight lines and on curves, have as many numbers. In a loop lines to the
+    # next command know the noise that its controller made it of: there they have to explain more
+    # as well if they go to what the commands before tell of it.
     fastest, inputs = float(np.max(np.abs(best.fit.model.poles))), samples.records[0].inputs
     own: Tried | None = None
     smaller = [one for n, one in found.items() if n <= best.fit.model.n]
@@ -123,11 +120,8 @@ def _with_input(samples: Samples, place: int, signals: Sequence[Signal]) -> Samp
 
 
 def doubt_of_order(task: Task, samples: Samples, free: Free) -> Doubt | None:
-    """
-    Return that an order is given which is too small, as predictions say, and the setting.
-
-    What missing states leave is no noise, and predictions would take it for that.
-    """
+    """Return that an order is given which is too small, as predictions say, and the setting."""
+    # What missing states leave is no noise, and predictions would take it for that.
     settings = task.settings
     sought = 0 < settings.order < settings.max_order and not samples.effort.leaves_out(
         'whether more states predict better', SEARCH)

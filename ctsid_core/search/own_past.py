@@ -45,11 +45,8 @@ def with_own_past(samples: Samples) -> Samples:
 
 
 def after_samples(joint: Samples) -> Samples:
-    """
-    Return the samples without those just after what was lost: no measured past tells these.
-
-    Not where half of those around are so, for it is their rate there.
-    """
+    """Return the samples without those just after what was lost: no measured past tells these."""
+    # Not where half of those around are so, for it is their rate there.
     def told(times: Array) -> Mask:
         after = np.append(0, _lost_after(times)[:-1])[:len(times)] > 0
         reach = min(HORIZONS[-1], max(len(times) - 1, 0))
@@ -67,11 +64,8 @@ def lost_of(joint: Samples) -> Lost:
 
 
 def foretold(joint: Samples, fit: Fit, lost: Lost) -> Samples:
-    """
-    Return the samples with what was lost of the past as a predictor tells it.
-
-    That is a filter which goes on without samples: what it does not learn, it does not correct.
-    """
+    """Return the samples with what was lost of the past as a predictor tells it."""
+    # That is a filter which goes on without samples: what it does not learn, it does not correct.
     m, nu = matrices_of(fit.model, np.ones(joint.ny)), joint.nu - joint.ny
     there = replace(joint, records=tuple(replace(r, streams=tuple(
         replace(s, times=past.time[rows], y=past.values[rows])

@@ -161,13 +161,10 @@ def _root(poles: Array, decay: float) -> Array:
 
 def _likeliest(gram: Array, right: Array, power: float, count: float,
                group: Places) -> tuple[Array, float, float, float]:
-    """
-    Return weights, how many numbers they are worth, the noise's power, and -2 log likelihood.
-
-    Their prior covariance is 1 but for lambda of each group; the noise is what is left. What the
-    weights cost in -2 log likelihood, log det of what the samples add, is log(count) for each
-    number, as in Schwarz's criterion.
-    """
+    """Return weights, how many numbers they are worth, the noise's power, -2 log likelihood."""
+    # Their prior covariance is 1 but for lambda of each group; the noise is what is left. What the
+    # weights cost in -2 log likelihood, log det of what the samples add, is log(count) for each
+    # number, as in Schwarz's criterion.
     share, best = np.full(int(np.max(group)) + 1, _FIRST), np.inf
     noise = max(power / count, ROUNDING)
     found = np.zeros(len(gram)), 0.0, noise, count * float(np.log(noise))

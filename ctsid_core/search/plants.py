@@ -165,13 +165,10 @@ def _predicts_better(task: Task, samples: Samples, best: Tried, found: Predictio
 
 def disturbed(task: Task, samples: Samples, best: Tried, found: PredictionFit, free: Free,
               orders: dict[int, Tried]) -> Solution | None:
-    """
-    Return the plant that predictions found, as it simulates, if these are likelier.
-
-    What disturbs a plant for longer than it remembers is like an input that is not known. Output
-    error then trusts most the frequencies that are disturbed most; predictions trust those that
-    are known best.
-    """
+    """Return the plant that predictions found, as it simulates, if these are likelier."""
+    # What disturbs a plant for longer than it remembers is like an input that is not known. Output
+    # error then trusts most the frequencies that are disturbed most; predictions trust those that
+    # are known best.
     plant = _plant_of(task, samples, found, free)
     if plant is None or not _predicts_better(task, samples, best, found):
         return None

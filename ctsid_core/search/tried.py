@@ -144,11 +144,8 @@ def smaller_models(samples: Samples, found: dict[int, Tried], best: Tried,
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
-    """
-    Return how many numbers a model has, its gauge apart.
-
-    A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
-    """
+    """Return how many numbers a model has, its gauge apart."""
+    # A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
     records, both = len(samples.records), samples.nu + samples.ny
     of_modes = sum((1 + (p.imag > 0.0)) * (rank * (both - rank) + 1)
                    for p, rank in Counter(fit.model.poles.tolist()).items())
@@ -235,13 +232,11 @@ def in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
 
 
 def advantage_in_colour(one: Tried, other: Tried) -> float:
-    """
-    Return by how much Akaike's criterion prefers the other one.
-
-    The less of what independent samples and errors of any colour say: few samples are independent
-    of what missing states leave, and a model without them would seem as right as one that leaves
-    nothing but noise. And the less of what it has over the first one, and over that with a drift.
-    """
+    """Return by how much Akaike's criterion prefers the other one."""
+    # The less of what independent samples and errors of any colour say: few samples are
+    # independent of what missing states leave, and a model without them would seem as right as one
+    # that leaves nothing but noise. And the less of what it has over the first one, and over that
+    # with a drift.
     matters = np.maximum(one.power, other.power) > LEAST ** 2
     gain = min(advantage(one, other),
                in_colour(one, matters, AKAIKE) - in_colour(other, matters, AKAIKE))
