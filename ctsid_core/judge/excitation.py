@@ -190,13 +190,11 @@ class _Acting:
     half_rate: Array
 
     def count(self, j: int, answered: float = 0.0) -> float:
-        """
-        Return the effective number of frequencies of an input.
-
-        As many as have, with equal shares, the entropy of the shares of sines that are taken from
-        it one after the other, the largest first, every octave alike; the rest is of such as are
-        just not taken. The edges of its hold count as far as the plant answers to them [rad/s].
-        """
+        """Return the effective number of frequencies of an input."""
+        # As many as have, with equal shares, the entropy of the shares of sines that are taken
+        # from it one after the other, the largest first, every octave alike; the rest is of such
+        # as are just not taken. The edges of its hold count as far as the plant answers to them
+        # [rad/s].
         count, largest = self.differences.shape[1], np.max(np.abs(self.differences[j]))
         left = self.differences[j] / (largest or 1.0)
         omega = 2.0 * np.pi * np.fft.rfftfreq(_FINER * count, self.step)[:-1]
