@@ -147,11 +147,7 @@ def integral_of_first(x: Array) -> Array:
 
 
 def project(nmax: int, x: Array, weights: Array) -> Array:
-    """
-    Return the sums over the samples of h_n(x_k) weights_k, shape (m, nmax + 1).
-
-    Of x (N,) in any order and weights (m, N).
-    """
+    """Return sum_k h_n(x_k) weights_k, (m, nmax + 1), of x (N,) in any order, weights (m, N)."""
     grid, h = frequency_grid(nmax), frequency_table(nmax)
     inside = np.abs(x) <= 0.5 * grid.size * grid.step          # the reach
     spectrum = fourier_sums(x[inside], weights[:, inside], grid)

@@ -18,13 +18,7 @@ from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
 from ctsid_core.judge.rules import NONE, UNCORRELATED, change_note, few_sines, judge, tested
-from ctsid_core.judge.unmoved import (
-    beside_rounding,
-    rounding,
-    rounding_notes,
-    stuck_outputs,
-    unmoved_notes,
-)
+from ctsid_core.judge.unmoved import beside_rounding, rounding, stuck_outputs, unmoved_notes
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.residuals import (
     by_output,
@@ -119,8 +113,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         fit=100.0 * (1.0 - verdict.error), held_out_fit=100.0 * (1.0 - verdict.held_out_error),
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
-        notes=(*part.notes, *solution.notes, *corrupt, *rounding_notes(solution, coarse),
-               *(() if solution.by_prediction else unmoved_notes(solution)),
+        notes=(*part.notes, *solution.notes, *corrupt, *unmoved_notes(solution, coarse),
                *(change_note(evidence, verdict.reason) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, evidence.doubt)) if setting not in verdict.reason),

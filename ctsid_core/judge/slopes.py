@@ -130,11 +130,7 @@ class Slopes:
         return self.samples.mean(left.power.reshape(-1, self.samples.ny) * self.fit.power)
 
     def without(self, more: Array, common: Array | None = None) -> tuple[Array, Array]:
-        """
-        Return further columns, and the errors, without what the columns explain of them.
-
-        The `common` ones explain, too.
-        """
+        """Return further columns, and errors, without what columns and `common` ones explain."""
         basis, error = self._without
         more = more - basis @ (basis.T @ more)
         if common is None:

@@ -77,10 +77,8 @@ def beside_rounding(solution: Solution, followed: Array,
     return [(0.5, gains), (0.5, replace(m, delay=np.where(sought or False, late, m.delay)))]
 
 
-def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
-    """Yield which outputs have so few values, and what to do."""
-    if not followed.any():
-        return
+def unmoved_notes(solution: Solution, followed: Array) -> Iterator[str]:
+    """Yield which outputs have so few values, and which oscillations inputs hardly move."""
     last = solution.part.parts[solution.part.last]
     for place, step, share in zip(last.y, _steps(solution), followed, strict=True):
         if share:
@@ -88,18 +86,8 @@ def rounding_notes(solution: Solution, followed: Array) -> Iterator[str]:
                    'and the model follows these steps: the motion between them is known to '
                    f'{100.0 * share:.2g} % of all; move inputs more, or less regularly, or '
                    'measure it more finely')
-
-
-def _steps(solution: Solution) -> Array:
-    """Return the smallest step of each moving output from one sample to the next; 0 if none."""
-    found = np.min([np.concatenate([
-        least(np.diff(s.values[s.rows(part.record.start, part.record.end)], axis=0))
-        for s in part.record.outputs]) for part in solution.part.parts], axis=0)
-    return np.where(np.isfinite(found), found, 0.0)
-
-
-def unmoved_notes(solution: Solution) -> Iterator[str]:
-    """Yield which oscillations last, and are moved by inputs less than what the model misses."""
+    if solution.by_prediction:
+        return
     samples, poles = solution.samples, solution.fit.model.poles
     missed = float(np.sum(samples.mean(solution.fit.power) * samples.counts.sum(axis=0)))
     lasts = np.abs(poles.real) * samples.length < GROWS
@@ -108,6 +96,14 @@ def unmoved_notes(solution: Solution) -> Iterator[str]:
             yield (f'inputs move the oscillation at {abs(poles[k]) / (2.0 * np.pi):.3g} Hz by '
                    'less than what the model misses: what disturbs the plant does; leave it out '
                    'where a controller is designed')
+
+
+def _steps(solution: Solution) -> Array:
+    """Return the smallest step of each moving output from one sample to the next; 0 if none."""
+    found = np.min([np.concatenate([
+        least(np.diff(s.values[s.rows(part.record.start, part.record.end)], axis=0))
+        for s in part.record.outputs]) for part in solution.part.parts], axis=0)
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def _moved(solution: Solution, k: int) -> float:

@@ -193,11 +193,7 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
 
 def predictions(model: StateSpace, record: Record,
                 horizons: Sequence[int]) -> dict[int, Validation]:
-    """
-    Return the predictions by several horizons, of one filter.
-
-    Parameters, errors and what a prediction is: as for `prediction`.
-    """
+    """Return the predictions by several horizons, of one filter; all else as for `prediction`."""
     for steps in horizons:
         if not isinstance(steps, int | np.integer) or steps < 1:
             raise DataError(f'`horizon_steps` is {steps!r}; wanted is a whole number of samples, '

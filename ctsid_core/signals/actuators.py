@@ -126,11 +126,6 @@ def by_kind(actuators: Sequence[Actuator]) -> dict[str, tuple[float, ...]]:
         Actuator._fields, zip(*actuators, strict=True), strict=False) if any(values)}
 
 
-def in_field(kind: str) -> str:
-    """Return the name of a kind of actuator in tables, with the unit that all inputs have."""
-    return 'timeout [s]' if kind == 'timeout' else kind.replace('_', ' ')
-
-
 def _acting(signal: Signal, actuators: Sequence[Actuator]) -> Iterator[Signal]:
     """Yield what acts of a signal: whole where its channels share at most a timeout."""
     if signal.hold != 'zoh' or not any(map(any, actuators)):

@@ -13,7 +13,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.gains import gains, step_response
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.signals.actuators import by_kind, in_field
+from ctsid_core.signals.actuators import by_kind
 from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.interactive import figure, numbers
@@ -189,7 +189,8 @@ def facts(estimate: Estimate, fits: Mapping[str, str]) -> Mapping[str, str]:
         found['dead time [s]'] = '; '.join(
             plus_minus(d, s, 3) for d, s in zip(model.delay, std, strict=True))
     for kind, values in by_kind(model.actuators).items():
-        found[in_field(kind)] = '; '.join(number(value, 3) for value in values)
+        name = 'timeout [s]' if kind == 'timeout' else kind.replace('_', ' ')
+        found[name] = '; '.join(number(value, 3) for value in values)
     if known := gains(model, estimate.covariance):
         found['gain' if known.rate.any() else 'DC gain'] = '; '.join(
             gain_text(float(g), float(s), bool(rate)) for g, s, rate in zip(
