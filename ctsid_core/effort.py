@@ -6,8 +6,8 @@ Work is what evaluations are known to take: 1 is one floating-point operation of
 decomposition. A clock would give another model each time; counted work ends a search at the same
 place on every computer, so that a replay has the bits of the node. `RATE` turns it into seconds.
 
-It has one thread of BLAS. The matrices are small: several threads wait for each other, which takes
-twice the time and five times the processor, and the last digits depend on how many there are.
+It has one thread of BLAS: the matrices are small, and several threads wait for each other, which
+takes twice the time and five times the processor; the last digits depend on how many there are.
 """
 
 from __future__ import annotations

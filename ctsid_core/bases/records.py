@@ -31,7 +31,7 @@ from ctsid_core.signals.record import Record, Signal
 
 _REACH = 2.5            # times tau omega / 2
 _NYQUIST = 0.8          # part of the slowest signal's Nyquist frequency that is used
-_SMALLEST, _LARGEST = 200, 1500
+_SMALLEST, _LARGEST = 200, 1500     # highest order of the functions
 _MOST_PARTS = 10        # of a long record
 _ABOVE_NOISE = 4.0      # power over the noise floor that counts as signal
 _DYNAMIC_RANGE = 1e-8   # power below this part of the peak is not looked for

@@ -33,7 +33,7 @@ SEARCHED = 1200       # samples of a stream that are looked at
 
 Own = tuple[ModalModel, Free]              # a model, and what is free in it
 INSTANTS = 48         # parts of a record, between which anything may jump
-_MOST_JUMPS = 20            # jumps
+_MOST_JUMPS = 20      # at most
 NOTHING = 1e-4        # of a column: less is left of it by rounding
 
 _Jump = tuple[int, int, int]               # its channel, from which instant, to which
