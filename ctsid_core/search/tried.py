@@ -8,9 +8,10 @@ How much evidence there is for one more state depends on how many samples are in
 
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
-Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
-errors fall: as many numbers as there are independent samples explain any of them. Of an order that
-HD-PBSID points at, both models' errors say how many these are.
+As many numbers as there are independent samples explain any of them, so errors are compared by
+degree of freedom, N_eff - k, with N_eff of the errors of the *larger* one. States that are there
+leave white errors, of which few are spent on k numbers; those that imitate a vibration, or gusts,
+leave errors as they were.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -58,9 +59,6 @@ class Tried:
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
     parameters: int
-    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
-    # own errors say, too, how much there is to know
-    pointed: bool = False
     drifting: Tried | None = None   # the same order with inputs that drift, where it was seen
     found: Tried | None = None      # what it was then, of fewer samples
 
@@ -96,9 +94,9 @@ class Tried:
         return float(np.sqrt(np.mean(self.power)))
 
 
-def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
+def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
 
 
 def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
@@ -113,7 +111,7 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
         with suppress(np.linalg.LinAlgError):
             start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: (
                 fit.cost + price(samples) * parameters(samples, fit, free)))
-    return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
+    return replace(tried(samples, climb(samples, start, free, steps=steps), free),
                    drifting=one.drifting, found=one.found)
 
 
@@ -188,14 +186,14 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
 
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
-    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
+    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
     n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's prior of unit information: numbers as many as samples explain anything.
-    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
-    unit = 1.0 / max(float(known), 2.0)
-    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
+    # Of the larger one's own independent errors so many have not told its numbers.
+    free = [np.maximum(larger.independent - t.parameters / len(n_eff), 1.0)
+            for t in (smaller, larger)]
+    ratio = np.log(before / after) - np.log(np.maximum(free[0] / free[1], 1.0))
     # An output that fits a little worse for the sake of another is no evidence against it.
-    return np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
+    return np.asarray(np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio)
 
 
 def imitates(larger: Tried, smaller: Tried) -> bool:
