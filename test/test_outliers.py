@@ -24,6 +24,7 @@ from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.preparation import usable
+from ctsid_core.model.validation import simulation
 from ctsid_core.signals.spikes import spikes
 
 
@@ -396,3 +397,53 @@ def test_a_last_sample_that_is_corrupt_does_not_spoil_a_model():
     assert found.good
     assert found.model.poles == pytest.approx([-2.0], abs=0.05)
     assert any('1 of 500 samples stand out' in note for note in found.notes)
+
+
+def under_levels(seed, span=20.0, turns=0.02):
+    """Return instants, a command of two levels, and what a pair of poles makes of it."""
+    rng = np.random.default_rng(seed)
+    t, t_u = np.arange(0.0, span, 0.01), np.arange(0.0, span, 0.02)
+    u = np.empty(len(t_u))
+    now = 1.0
+    for k in range(len(u)):
+        now = -now if rng.uniform() < turns else now
+        u[k] = now
+    step = expm(0.01 * np.array([[0.0, 1.0, 0.0], [-36.0, -6.0, 36.0], [0.0, 0.0, 0.0]]))
+    x = np.zeros((len(t), 2))
+    for k in range(len(t) - 1):
+        x[k + 1] = (step @ np.append(x[k], u[k // 2]))[:2]
+    return rng, t, t_u, u, x[:, 0]
+
+
+@pytest.mark.parametrize(('seed', 'noise'), [(0, 0.01), (1, 0.05), *slow(
+    (2, 0.002), (3, 0.01), (4, 0.03))])
+def test_a_sensor_that_is_clipped_is_read_within_its_range(seed, noise):
+    """States imitated what was cut off, GOOD, with 66 % of another flight."""
+    rng, t, t_u, u, y = under_levels(seed)
+    measured = np.clip(y + noise * rng.standard_normal(len(t)), -0.5, 0.5)
+    found = identify(Record.from_arrays(t_u, u, t, measured, input_hold='zoh'),
+                     Settings(feedthrough=False))
+    assert found.good, found.verdict.reason
+    assert any('are at the end of its range' in note for note in found.notes)
+    _, t, t_u, u, y = under_levels(seed + 100)
+    other = Record.from_arrays(t_u, u, t, y, input_hold='zoh')
+    assert simulation(found.model, other, trim='refit').fit[0] > 95.0
+
+
+@pytest.mark.parametrize(('seed', 'step'), [(0, 0.0), (1, 0.01), *slow((2, 0.0), (3, 0.05))])
+def test_what_rests_is_not_at_the_end_of_its_range(seed, step):
+    """A plant that comes to rest at the largest value, exactly or by what a sensor resolves."""
+    _, t, t_u, u, y = under_levels(seed, turns=0.006)
+    y = np.round(y / step) * step if step else y
+    found = identify(Record.from_arrays(t_u, u, t, y, input_hold='zoh'),
+                     Settings(feedthrough=False))
+    assert found.good, found.verdict.reason
+    assert not any('range' in note for note in found.notes)
+
+
+def test_a_sensor_that_is_clipped_for_long_is_not_stuck():
+    rng, t, t_u, u, y = under_levels(5, turns=0.005)
+    measured = np.clip(y + 0.01 * rng.standard_normal(len(t)), -0.5, 0.5)
+    found = identify(Record.from_arrays(t_u, u, t, measured, input_hold='zoh'),
+                     Settings(feedthrough=False))
+    assert found.good, found.verdict.reason

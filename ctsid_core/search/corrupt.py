@@ -32,7 +32,8 @@ from ctsid_core.signals.gaps import FEWEST, silences
 from ctsid_core.signals.spikes import MAD, SURE, spikes
 
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
-_MORE = 1.5           # times the error elsewhere: what was sent last did not go on
+_MORE = 1.5           # times the error elsewhere: what was sent last did not go on; or a sensor is
+                      # at the end of its range
 
 
 def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
@@ -141,8 +142,14 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
             # Of what was measured: a spike stands out from errors that are large, but smooth.
             e = e + np.where(bridged.mask, bridged.off, 0.0)[rows] / samples.size[s.channels]
             left = spikes(s.times, e, closely=True, check=samples.effort.check)
-            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask
+            ends = np.broadcast_to(spiky.ends, mask.shape)[rows]
+            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask & ~ends
             mask[:, list(left.too_many)] = False
+            if seen is part:            # a model of all imitates a sensor that is clipped
+                at, beside = (np.sqrt(np.sum(e ** 2, axis=0, where=some)
+                                      / np.maximum(np.sum(some, axis=0), 1))
+                              for some in (ends, ~spiky.mask[rows]))
+                mask[rows] |= ends & (at < _MORE * beside)
             honest.append(mask)
         parts.append(p.with_honest(honest))
     return replace(part, parts=tuple(parts)) if _differ(parts, part) else None

@@ -14,6 +14,11 @@ does are corrupt.
 Places of corrupt samples are bridged: their values are not used, but their stamps stay, so that
 the other samples are interpolated and weighted as they would be without.
 
+A sensor that is driven beyond its range shows its largest or smallest value, to the last bit, and
+how the plant moves then it does not tell. Into that value it goes at full speed, and out of it: a
+plant that comes to rest does so by what the sensor resolves. Zero is no end of a range, but where
+things rest.
+
 Sources: the median absolute deviation and its use against spikes are Hampel's (1974), J. American
 Statistical Association 69; a test against a fit without the suspects is that of Barnett and Lewis,
 Outliers in Statistical Data, chapter 7; the estimator that ignores them is Huber's (1964), Annals
@@ -28,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.types import Array, Mask, Places
+from ctsid_core.signals.as_measured import least
 from ctsid_core.signals.record import Record, Signal
 
 _FEWEST = 50            # samples of a channel that is looked at
@@ -49,6 +55,8 @@ _ROUNDS = 4             # smaller spikes come to light when the larger ones are 
 _SHARP = 0.3            # of how far off a run is, that its edges show
 _REST = 0.3             # of what stands out before, that may do so without the run
 _REWEIGHTED = 8         # rounds of reweighted least squares
+_ENDS = 10              # samples like the one before, where the range of a sensor ends, ...
+_AT_ONCE = 3.0          # ... which is reached, and left, by so many of its steps
 MAD = 1.4826            # of a median absolute deviation: that of a normal distribution
 _STILL = 0.25           # part of differences that vanish, beyond which the others give the scale
 
@@ -62,6 +70,7 @@ class Spikes:
     off: Array      # (N, m): the values less these
     # channels with so many far samples that none was taken for corrupt
     too_many: tuple[int, ...] = ()
+    ends: Mask | bool = False       # which of them are where the range of the sensor ends
 
     @property
     def any(self) -> bool:
@@ -109,6 +118,21 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
     return Spikes(mask, instead, values - instead, tuple(too_many))
 
 
+def at_range(values: Array) -> Mask:
+    """Return which samples of channels (N, m) are where the range of the sensor ends."""
+    found = np.zeros(values.shape, dtype=bool)
+    for j, y in enumerate(values.T):
+        step = np.abs(np.diff(y))
+        for end in {float(np.min(y)), float(np.max(y))} - {0.0}:
+            at = y == end
+            into, out = (step[(at[k:] if k else at[:-1]) & ~(at[:-1] if k else at[1:])]
+                         for k in (1, 0))
+            if np.count_nonzero(at[1:] & at[:-1]) >= _ENDS and len(into) and len(out) and min(
+                    np.median(into), np.median(out)) > _AT_ONCE * least(step):
+                found[:, j] |= at
+    return found
+
+
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
            record: Record) -> tuple[list[str], dict[str, float]]:
     """
@@ -124,8 +148,15 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
         times = signal.time[inside] - record.start
         for j, name in zip(range(signal.width), rest, strict=False):
             bad = spiky.mask[inside, j]
+            ends = bad & np.broadcast_to(spiky.ends, spiky.mask.shape)[inside, j]
+            if ends.any():
+                notes.append(f'{kind} {name}: {np.count_nonzero(ends)} of {len(bad)} samples are '
+                             'at the end of its range, and were not used: '
+                             + _places(times[ends]) + '; move it less, or set a larger range')
             if bad.any():
                 counts[f'corrupt_samples.{name}'] = float(np.count_nonzero(bad))
+            bad = bad & ~ends
+            if bad.any():
                 notes.append(f'{kind} {name}: {np.count_nonzero(bad)} of {len(bad)} samples '
                              'stand out of their neighbours or of what the model leaves, as '
                              'corrupt ones do, and were not used: '
