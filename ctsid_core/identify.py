@@ -19,7 +19,7 @@ from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.actuators import of_actuators, with_choices
-from ctsid_core.search.corrupt import given_back, of_lost_inputs
+from ctsid_core.search.corrupt import AGAIN, given_back, of_lost_inputs, reads_better
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.solve import solve
 from ctsid_core.search.task import own_delays
@@ -30,6 +30,7 @@ from ctsid_core.signals.actuators import as_acting, settled
 from ctsid_core.signals.as_measured import as_measured
 from ctsid_core.signals.loop import in_loop
 from ctsid_core.signals.record import Record
+from ctsid_core.signals.spikes import within_range
 from ctsid_core.subspace.methods import METHODS
 
 
@@ -146,6 +147,14 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             _joined(records, settings, effort, lost), settings)
 
     solution = found(part, settings)
+    seen = [within_range(r) for r in records]
+    if solution is not None and any(notes for _, notes in seen) and not effort.beyond(AGAIN):
+        rest = _joined(tuple(r for r, _ in seen), settings, effort)
+        other = found(rest, settings)
+        if other is not None and reads_better(other, solution):
+            part, records = other.part, tuple(r for r, _ in seen)
+            solution = replace(other, notes=(
+                *(note for _, notes in seen for note in notes), *other.notes))
     if solution is not None:
         nu = records[0].nu
         sent = _joined(records, settings.with_actuators((Actuator(),) * nu), effort) if any(

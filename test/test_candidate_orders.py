@@ -9,6 +9,7 @@ import pytest
 from ctsid_core import Record, Settings, identify
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
+from ctsid_core.search.tried import AKAIKE, Tried, criterion
 
 QUICK = Settings(held_out=0.0)
 
@@ -78,3 +79,25 @@ def test_an_arm_with_lost_samples_has_enough_states(data_folder):
     found, four = (identify(record, Settings(delay=0.0, order=order)).model for order in (0, 4))
     assert found.n >= 4
     assert simulation(found, other).fit[0] >= simulation(four, other).fit[0]
+
+
+def seen(power: float, numbers: int, independent: float) -> Tried:
+    """Return a model of one output that leaves so much, and so many independent errors."""
+    one = Tried(None, None, np.array([power]), numbers)
+    vars(one)['independent'] = np.array([independent])
+    return one
+
+
+def test_numbers_are_paid_by_the_independent_errors_that_are_left():
+    """Of 42 errors of a vibration 24 further numbers may leave a tenth by chance, of noise not."""
+    smaller = seen(1.0, 8, 42.0)
+    left = [criterion(smaller, seen(0.1, 32, m)) for m in (5.0, 20.0, 33.0, 50.0, 200.0, 2000.0)]
+    assert np.all(np.diff(left) >= 0.0)
+    assert left[-3] < 0.0 < left[-1]
+    # Schwarz's criterion, where nearly all of them are free; none is paid that is not there.
+    schwarz = 42.0 * np.log(10.0) - 24.0 * np.log(42.0)
+    assert left[-1] == pytest.approx(schwarz, abs=0.6)
+    assert criterion(smaller, seen(0.1, 8, 3.0)) == pytest.approx(42.0 * np.log(10.0))
+    # Akaike's price is one of its own.
+    assert criterion(smaller, seen(0.1, 32, 5.0), AKAIKE) == pytest.approx(
+        42.0 * np.log(10.0) - 48.0)

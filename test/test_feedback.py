@@ -339,9 +339,13 @@ def vibrating(seed: int, noise: float = 0.15) -> Record:
     return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
 
 
-@pytest.mark.parametrize('seed', [1, 3, *slow(4, 8, 17)])
+@pytest.mark.parametrize('seed', [0, 1, 7, *slow(2, 3, 4, 8, 17, 22)])
 def test_a_vibration_is_no_mode_that_inputs_drive(seed):
-    """Predictions know it, and where no controller is heard they are not asked first."""
+    """
+    Predictions know it, and where no controller is heard they are not asked first.
+
+    Of simulations ten states imitated it: 24 numbers of 42 independent errors.
+    """
     found = identify(vibrating(seed), Settings(feedthrough=False))
     assert found.good
     assert found.model.n == 2

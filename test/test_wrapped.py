@@ -75,3 +75,21 @@ def test_a_verdict_says_first_that_an_angle_wraps(seed, feedthrough):
     assert wrapped.reason.startswith('The signal yaw[0] jumps ')
     assert wrapped.reason.endswith(' If it is so, set `yaw.turn: 360.0`.')
     assert judged(np.degrees(yaw)).good
+
+
+@pytest.mark.parametrize('seed', [1, *slow(3, 4)])
+def test_an_angle_that_wraps_once_is_not_good(seed):
+    """Eight states and more made the jump; two are right."""
+    t_u, u, yaw = heading(seed)
+    yaw = 0.6 * np.degrees(yaw - yaw.min()) * 360.0 / np.degrees(np.ptp(yaw))
+
+    def once(low):
+        return (yaw + low) % 360.0
+    low = next(low for low in np.arange(0.0, 360.0, 5.0) if wraps(once(low)) == (360.0, 1))
+    found, right = (identify(Record.from_arrays(t_u, u, T, y, input_hold='zoh'))
+                    for y in (once(low), yaw))
+    assert not found.good
+    assert found.verdict.remedy is Remedy.SETTING
+    assert 'jumps once by a full turn' in found.verdict.reason
+    assert 'numpy.unwrap' in found.verdict.reason
+    assert right.good

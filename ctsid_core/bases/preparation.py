@@ -17,7 +17,15 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.as_measured import as_measured
 from ctsid_core.signals.gaps import FEWEST, missing
 from ctsid_core.signals.record import LARGEST, Record, Signal, placed, with_each
-from ctsid_core.signals.spikes import SURE, SURE_INPUT, Spikes, at_range, no_spikes, report, spikes
+from ctsid_core.signals.spikes import (
+    SURE,
+    SURE_INPUT,
+    Spikes,
+    no_spikes,
+    report,
+    spikes,
+    within_range,
+)
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 
@@ -50,13 +58,6 @@ class Usable:
             counts |= channels
             counts['corrupt_samples'] += sum(channels.values())
         return notes, counts
-
-    def uses(self, output: int, times: Array) -> bool:
-        """Return whether any sample of a moving output at some times is not corrupt."""
-        channel = self.y.index(output)
-        return any((~spiky.mask[np.isin(s.time, times), channel - own.start]).any()
-                   for (s, own), spiky in zip(placed(self.record.outputs), self.corrupt_y,
-                                              strict=True) if own.start <= channel < own.stop)
 
     def with_honest(self, honest: Sequence[Mask]) -> Usable:
         """Return the record with samples (N, m) of each output signal that are not corrupt."""
@@ -134,8 +135,6 @@ def usable(record: Record, settings: Settings,
     inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs), check)
     outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
                                    _held_at(record, outputs, settings), check)
-    corrupt_y = tuple(replace(own, mask=own.mask | ends, ends=ends) for own, ends in zip(
-        corrupt_y, (at_range(s.values) for s in outputs), strict=True))
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
     sent = [s.columns([j]) for s in record.sent for j in range(s.width)]
@@ -192,7 +191,8 @@ def without_corrupt(record: Record, settings: Settings, *models: StateSpace
     out of what each of these leaves; those of inputs are bridged where that leaves less of each.
     """
     record, told = as_measured(record)
-    found, notes = corrupt_outputs(record, settings), list(told)
+    record, ends = within_range(record)
+    found, notes = corrupt_outputs(record, settings), [*told, *ends]
     if models:
         likely, more = _with_likely_inputs(_without(record, found)[0], models)
         record = replace(record, inputs=likely.inputs) if more else record

@@ -336,7 +336,8 @@ def _wrapped(part: Joint) -> Doubt | None:
     """Return that a channel is an angle which wraps, and what to set of it, if one does."""
     for one in (found for usable in part.parts for found in wrapped_channels(usable.whole)):
         channel = one.name.partition('[')[0]
-        return (f'the signal {one.name} jumps {jumps_in_words(one.turn, one.jumps)}',
+        return (f'the signal {one.name} jumps {jumps_in_words(one.turn, one.jumps)} '
+                '(in Python, numpy.unwrap takes that back)',
                 f'{channel}.turn: {one.turn!r}')
     return None
 

@@ -52,7 +52,7 @@ from ctsid_core.signals.record import Record, Signal
 
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
-_NEWS = 0.1           # of the part of outputs that their past does not tell (in power)
+_NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
 _RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
@@ -120,15 +120,13 @@ def holds(records: Sequence[Record], growth: float, at_once: bool) -> bool:
     """
     Return whether any input could hold a mode which grows as exp(growth t) [rad/s].
 
-    One that is computed from the outputs they tell of, or as much is new in it as in them: a
-    sweep is told by its own past. And it does not as a rule rest for long while they move and
-    that mode grows. `at_once`: outputs follow inputs at once.
+    One that is computed from the outputs has what is new in them, and does not as a rule rest for
+    long while they move and that mode grows. `at_once`: outputs follow inputs at once.
     """
-    return any((new or told is not None) and growth * rest < _RESTS
+    return any(follows and growth * rest < _RESTS
                for record in records for signal in record.inputs
-               for new, told, rest in zip(_has_news(signal, record, at_once),
-                                          _answers(signal, record, at_once),
-                                          resting_times(signal, record), strict=True))
+               for follows, rest in zip(_has_news(signal, record, at_once),
+                                        resting_times(signal, record), strict=True))
 
 
 def _has_news(signal: Signal, record: Record, at_once: bool) -> list[bool]:

@@ -288,6 +288,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
             f'{_percent(e.fitted[i])}; take a longer window.')
+    if e.wrapped:
+        yield Remedy.SETTING, f'{_begun(e.wrapped[0])}; set `{e.wrapped[1]}`.'
     if e.spent:
         yield Remedy.SETTING, f'Not all is tested: {e.spent}.'
     # Last: new data lift this, and must not lift anything beside it (`in_sequence`).

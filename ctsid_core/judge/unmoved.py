@@ -131,8 +131,8 @@ def stuck_outputs(solution: Solution, moving: StateSpace) -> tuple[Stuck, ...]:
     found = []
     for place, part in enumerate(solution.part.parts):
         for run in longest_still(part.whole):
-            # Others hardly move at all, or are at the end of their range, which is told otherwise.
-            if run.output in part.y and part.uses(run.output, run.times) and (
+            # Others hardly move at all, which is told otherwise.
+            if run.output in part.y and (
                     run.noise_ends or _driven_while_still(solution, moving, place, run)):
                 start, end = run.times[[0, -1]] - part.whole.recording.start
                 found.append(Stuck(run.output, float(start), float(end)))

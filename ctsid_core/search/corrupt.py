@@ -23,7 +23,10 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import mean_square, residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
+from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.types import Array, Mask
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import simulation
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.task import corrupt_rows
 from ctsid_core.search.tried import SEARCH, tried
@@ -31,9 +34,9 @@ from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.gaps import FEWEST, silences
 from ctsid_core.signals.spikes import MAD, SURE, spikes
 
-_AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
-_MORE = 1.5           # times the error elsewhere: what was sent last did not go on; or a sensor is
-                      # at the end of its range
+AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
+_MORE = 1.5           # times the error elsewhere: what was sent last did not go on; times that of
+                      # the model of the others, where a sensor may be clipped: it is
 
 
 def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
@@ -72,12 +75,12 @@ def given_back(part: Joint, found: Callable[[Joint], Solution | None],
     """
     part, solution = _with_inputs(part, found, effort)
     whole = _all_of(part)
-    while solution is not None and not effort.beyond(_AGAIN):
+    while solution is not None and not effort.beyond(AGAIN):
         honest = _honest(part, part, solution)
         if honest is None and whole is not None:
             other = found(whole)
             honest, whole = None if other is None else _honest(part, whole, other), None
-        if honest is None or effort.beyond(_AGAIN):
+        if honest is None or effort.beyond(AGAIN):
             break
         part, solution = honest, found(honest) or solution
     return solution
@@ -91,7 +94,7 @@ def _with_inputs(part: Joint, found: Callable[[Joint], Solution | None],
         for channel in range(width):
             if not any(p.corrupt_u[signal].mask[:, channel].any() for p in part.parts):
                 continue
-            if effort.beyond(_AGAIN):
+            if effort.beyond(AGAIN):
                 return part, solution
             given = replace(part, parts=tuple(p.with_input(signal, channel) for p in part.parts))
             other = found(given)
@@ -142,14 +145,8 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
             # Of what was measured: a spike stands out from errors that are large, but smooth.
             e = e + np.where(bridged.mask, bridged.off, 0.0)[rows] / samples.size[s.channels]
             left = spikes(s.times, e, closely=True, check=samples.effort.check)
-            ends = np.broadcast_to(spiky.ends, mask.shape)[rows]
-            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask & ~ends
+            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask
             mask[:, list(left.too_many)] = False
-            if seen is part:            # a model of all imitates a sensor that is clipped
-                at, beside = (np.sqrt(np.sum(e ** 2, axis=0, where=some)
-                                      / np.maximum(np.sum(some, axis=0), 1))
-                              for some in (ends, ~spiky.mask[rows]))
-                mask[rows] |= ends & (at < _MORE * beside)
             honest.append(mask)
         parts.append(p.with_honest(honest))
     return replace(part, parts=tuple(parts)) if _differ(parts, part) else None
@@ -160,6 +157,26 @@ def _differ(parts: Sequence[Usable], part: Joint) -> bool:
     return any(new.too_many != old.too_many or (new.mask != old.mask).any()
                for p, q in zip(parts, part.parts, strict=True)
                for new, old in zip(p.corrupt_y, q.corrupt_y, strict=True))
+
+
+def reads_better(one: Solution, other: Solution) -> bool:
+    """
+    Return whether a model leaves clearly less of its samples than a model of more samples does.
+
+    Where a sensor is clipped the model of all imitates that; of a plant that comes to rest, or
+    strikes a stop, the other one explains hardly more.
+    """
+    parts = one.part.parts
+    if one.by_prediction or other.by_prediction or any(
+            (p.u, p.y) != (q.u, q.y) for p, q in zip(parts, other.part.parts, strict=False)):
+        return False
+    left = []
+    for solution in (one, other):
+        m = matrices_of(solution.fit.model, solution.samples.size)
+        model = StateSpace(m.A, m.B, m.C, m.D, delay=tuple(solution.delay.tolist()))
+        found = [simulation(model, p.record, trim='refit') for p in parts]
+        left.append(np.nanmean(np.concatenate([s.y - s.y_hat for s in found]) ** 2, axis=0))
+    return bool(np.any(left[1] > _MORE ** 2 * left[0]))
 
 
 def of_lost_inputs(solution: Solution, settings: Settings,

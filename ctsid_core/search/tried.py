@@ -11,7 +11,7 @@ Model errors are neither white nor new information, and states that imitate them
 As many numbers as there are independent samples explain any of them, so errors are compared by
 degree of freedom, N_eff - k, with N_eff of the errors of the *larger* one. States that are there
 leave white errors, of which few are spent on k numbers; those that imitate a vibration, or gusts,
-leave errors as they were.
+mostly leave errors of its kind.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -176,22 +176,24 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     Return how much more likely the larger one is than its further parameters may cost.
 
-    A parameter costs the logarithm of the number of independent samples, unless `price` says.
+    A parameter costs the logarithm of the number of independent samples, and a degree of freedom
+    of the larger one's errors, unless `price` says what it costs.
     """
     n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
+    further = larger.parameters - smaller.parameters
+    if price:
+        return float(np.sum(gain)) - price * further
     share = np.maximum(gain, 1e-6)
-    each = price or float(share @ np.log(n_eff) / share.sum())
-    return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
+    free = np.maximum(larger.independent - larger.parameters / len(n_eff), 1.0)
+    spent = n_eff * np.log1p(max(further, 0) / len(n_eff) / free)
+    return float(np.sum(gain - spent)) - float(share @ np.log(n_eff) / share.sum()) * further
 
 
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
     before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
     n_eff = np.maximum(smaller.independent, 2.0)
-    # Of the larger one's own independent errors so many have not told its numbers.
-    free = [np.maximum(larger.independent - t.parameters / len(n_eff), 1.0)
-            for t in (smaller, larger)]
-    ratio = np.log(before / after) - np.log(np.maximum(free[0] / free[1], 1.0))
+    ratio = np.log(before / after)
     # An output that fits a little worse for the sake of another is no evidence against it.
     return np.asarray(np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio)
 

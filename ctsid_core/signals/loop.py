@@ -25,7 +25,7 @@ _MOST = 5000          # samples of an input that are looked at, the last ones
 _TOLERANCE = 1e-10    # of regressors that depend on each other
 SMOOTH = 1e-10        # power of changes that its own past does not tell: less, and it tells all
 MOVING = 1.5          # intervals that an input rests for as a rule: no longer, and it never rests
-_HEARS = 12.0         # deviations of what numbers gain by chance, that outputs have to tell
+_HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
 _NEWEST = 5           # outputs, that a controller answers most: with 20 loops tell half as clearly
 _USUAL = 20.0         # times the median size of changes, to which larger ones are clipped
 
@@ -59,11 +59,10 @@ def _hears(changes: Array, outputs: Array) -> bool:
     newest = min(_NEWEST, past)
     seen = sliding_window_view(outputs, newest, axis=0)[past + 2 - newest:]
     before = sliding_window_view(own, past)[:-1]
-    known = np.hstack((before, seen.reshape(len(seen), -1)))
-    _, (left,) = _regressed(known, own[np.newaxis, past:])
+    _, (left,) = _regressed(np.hstack((before, seen.reshape(len(seen), -1))),
+                            own[np.newaxis, past:])
     least = SMOOTH * float(np.mean(own ** 2))
-    free = max(len(known) - known.shape[1], 0)      # of a few changes chance tells more
-    gain = free * np.log((left_alone(own, past) + least) / (left + least))
+    gain = len(before) * np.log((left_alone(own, past) + least) / (left + least))
     return bool(gain > _HEARS * np.sqrt(2.0 * newest * ny))
 
 

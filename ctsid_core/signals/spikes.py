@@ -17,7 +17,8 @@ the other samples are interpolated and weighted as they would be without.
 A sensor that is driven beyond its range shows its largest or smallest value, to the last bit, and
 how the plant moves then it does not tell. Into that value it goes at full speed, and out of it: a
 plant that comes to rest does so by what the sensor resolves. Zero is no end of a range, but where
-things rest.
+things rest; and what is hardly ever between its ends, a valve or a switch, is no sensor of that
+kind.
 
 Sources: the median absolute deviation and its use against spikes are Hampel's (1974), J. American
 Statistical Association 69; a test against a fit without the suspects is that of Barnett and Lewis,
@@ -34,7 +35,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array, Mask, Places
 from ctsid_core.signals.as_measured import least
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record, Signal, with_each
 
 _FEWEST = 50            # samples of a channel that is looked at
 _MOST = 0.05            # part of a channel's samples beyond which they are not 'a few'
@@ -57,6 +58,7 @@ _REST = 0.3             # of what stands out before, that may do so without the 
 _REWEIGHTED = 8         # rounds of reweighted least squares
 _ENDS = 10              # samples like the one before, where the range of a sensor ends, ...
 _AT_ONCE = 3.0          # ... which is reached, and left, by so many of its steps
+_BETWEEN = 0.2          # of the samples are between its ends
 MAD = 1.4826            # of a median absolute deviation: that of a normal distribution
 _STILL = 0.25           # part of differences that vanish, beyond which the others give the scale
 
@@ -70,7 +72,6 @@ class Spikes:
     off: Array      # (N, m): the values less these
     # channels with so many far samples that none was taken for corrupt
     too_many: tuple[int, ...] = ()
-    ends: Mask | bool = False       # which of them are where the range of the sensor ends
 
     @property
     def any(self) -> bool:
@@ -118,15 +119,29 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
     return Spikes(mask, instead, values - instead, tuple(too_many))
 
 
-def at_range(values: Array) -> Mask:
+def within_range(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return a record without samples of outputs at the end of a sensor's range, and notes."""
+    def of(signal: Signal, names: tuple[str, ...]) -> tuple[Signal, str]:
+        ends = _at_end(signal.values)
+        bad = ends.any(axis=1)
+        if not bad.any() or np.count_nonzero(~bad) < max(_FEWEST, _BETWEEN * len(bad)):
+            return signal, ''
+        return signal.of(~bad), '; '.join(
+            f'output {name}: {np.count_nonzero(own)} of {len(own)} samples are at the end of its '
+            f'range, and were not used: {_places(signal.time[own] - record.start)}'
+            for name, own in zip(names, ends.T, strict=True) if own.any()
+        ) + '; move it less, or set a larger range'
+    return with_each(record, of, outputs_alone=True)
+
+
+def _at_end(values: Array) -> Mask:
     """Return which samples of channels (N, m) are where the range of the sensor ends."""
     found = np.zeros(values.shape, dtype=bool)
-    for j, y in enumerate(values.T):
+    for j, y in enumerate(values.T if len(values) else ()):
         step = np.abs(np.diff(y))
         for end in {float(np.min(y)), float(np.max(y))} - {0.0}:
             at = y == end
-            into, out = (step[(at[k:] if k else at[:-1]) & ~(at[:-1] if k else at[1:])]
-                         for k in (1, 0))
+            into, out = step[at[1:] & ~at[:-1]], step[at[:-1] & ~at[1:]]
             if np.count_nonzero(at[1:] & at[:-1]) >= _ENDS and len(into) and len(out) and min(
                     np.median(into), np.median(out)) > _AT_ONCE * least(step):
                 found[:, j] |= at
@@ -148,15 +163,8 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
         times = signal.time[inside] - record.start
         for j, name in zip(range(signal.width), rest, strict=False):
             bad = spiky.mask[inside, j]
-            ends = bad & np.broadcast_to(spiky.ends, spiky.mask.shape)[inside, j]
-            if ends.any():
-                notes.append(f'{kind} {name}: {np.count_nonzero(ends)} of {len(bad)} samples are '
-                             'at the end of its range, and were not used: '
-                             + _places(times[ends]) + '; move it less, or set a larger range')
             if bad.any():
                 counts[f'corrupt_samples.{name}'] = float(np.count_nonzero(bad))
-            bad = bad & ~ends
-            if bad.any():
                 notes.append(f'{kind} {name}: {np.count_nonzero(bad)} of {len(bad)} samples '
                              'stand out of their neighbours or of what the model leaves, as '
                              'corrupt ones do, and were not used: '
