@@ -146,15 +146,14 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         return None if effort.beyond(SEARCH) else found(
             _joined(records, settings, effort, lost), settings)
 
-    solution = found(part, settings)
-    seen = [within_range(r) for r in records]
-    if solution is not None and any(notes for _, notes in seen) and not effort.beyond(AGAIN):
-        rest = _joined(tuple(r for r, _ in seen), settings, effort)
-        other = found(rest, settings)
+    solution, notes = found(part, settings), list[str]()
+    within = [within_range(r) for r in records]
+    if solution is not None and any(more for _, more in within) and not effort.beyond(AGAIN):
+        inside = tuple(r for r, _ in within)
+        other = found(_joined(inside, settings, effort), settings)
         if other is not None and reads_better(other, solution):
-            part, records = other.part, tuple(r for r, _ in seen)
-            solution = replace(other, notes=(
-                *(note for _, notes in seen for note in notes), *other.notes))
+            part, solution, records = other.part, other, inside
+            notes = [note for _, more in within for note in more]
     if solution is not None:
         nu = records[0].nu
         sent = _joined(records, settings.with_actuators((Actuator(),) * nu), effort) if any(
@@ -168,4 +167,5 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
                                  spent=effort.beyond(SEARCH))
     sought = own_delays(solution.part, settings).unknown_delays(len(solution.part.parts[0].u))
-    return conclude(solution, sought if refined else ())
+    result = conclude(solution, sought if refined else ())
+    return replace(result, notes=(*notes, *result.notes))
