@@ -232,7 +232,7 @@ def test_what_the_budget_left_untested_is_not_good(budget):
 
 
 def test_the_reason_names_what_was_left_out_or_a_note_does():
-    found = identify(slowed(20.0, 10.0), Settings(budget=0.02))
+    found = identify(slowed(20.0, 10.0), Settings(budget=0.015))
     for what in ('outputs answer before inputs', 'the plant changed', 'the plant drifts'):
         assert found.verdict.reason.count(what) == 1
     assert not any('not asked' in note or not note for note in found.notes)

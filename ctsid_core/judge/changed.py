@@ -48,7 +48,7 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _ASKED = 'whether the plant changed within the window'
-_LEFT = 0.2           # power of errors, noise apart, that two models may leave of those of one
+_LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
 NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 

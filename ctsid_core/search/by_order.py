@@ -103,7 +103,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                        np.inf if order or not found else _rival(found, thin, free, n))
         if fit is None:
             continue
-        found[n] = tried(thin, fit, free)
+        found[n] = tried(thin, fit, free, n == far)
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
@@ -142,7 +142,8 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
                 fit = fit_at(samples, poles, whole.model.delay, free, near, slopes=False)
                 n = fit.model.n
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
-                    found[n] = tried(samples, climb_roughly(samples, fit, free), free)
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free,
+                                     found[n].pointed)
 
 
 def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
@@ -196,7 +197,7 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
     while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
         max_order -= 1
     if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
-            tried(samples, most, free), parameters=best.parameters + (MORE + 1) * (
+            tried(samples, most, free, True), parameters=best.parameters + (MORE + 1) * (
                 samples.nu + samples.ny + len(samples.records))), best)):
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))

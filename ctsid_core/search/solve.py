@@ -217,7 +217,7 @@ def _where_known(task: Task, samples: Samples, found: dict[int, Tried],
             for n, one in up_to.items():
                 model = one.fit.model
                 rest[n] = replace(roughly(thin, model.poles, model.delay, free, one.fit),
-                                  drifting=one.drifting, found=one.found)
+                                  pointed=one.pointed, drifting=one.drifting, found=one.found)
             if choose(rest) < chosen:
                 return known, {n: climbed(known, one, free) for n, one in rest.items()}
     return samples, found

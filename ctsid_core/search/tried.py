@@ -8,10 +8,11 @@ How much evidence there is for one more state depends on how many samples are in
 
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
-As many numbers as there are independent samples explain any of them, so errors are compared by
-degree of freedom, N_eff - k, with N_eff of the errors of the *larger* one. States that are there
-leave white errors, of which few are spent on k numbers; those that imitate a vibration, or gusts,
-mostly leave errors of its kind.
+Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
+errors fall: as many numbers as there are independent samples explain any of them. Of an order that
+HD-PBSID points at, both models' errors say how many these are. And each model's errors are counted
+by degree of freedom, of its own that are independent: states that are there leave white errors, of
+which few are spent; those that imitate a vibration mostly leave errors of its kind.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -59,6 +60,9 @@ class Tried:
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
     parameters: int
+    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
+    # own errors say, too, how much there is to know
+    pointed: bool = False
     drifting: Tried | None = None   # the same order with inputs that drift, where it was seen
     found: Tried | None = None      # what it was then, of fewer samples
 
@@ -71,6 +75,12 @@ class Tried:
     def independent(self) -> Array:
         """Number of independent samples among the errors of each output, (ny,)."""
         return independent(self.errors)
+
+    @property
+    def spent(self) -> Array:
+        """By how much errors would be larger, had none of them told the model's numbers, (ny,)."""
+        each = self.parameters / len(self.power)
+        return np.asarray(1.0 + each / np.maximum(self.independent - each, 1.0))
 
     @cached_property
     def coloured(self) -> Array:
@@ -94,9 +104,9 @@ class Tried:
         return float(np.sqrt(np.mean(self.power)))
 
 
-def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
+def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
 
 
 def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
@@ -111,7 +121,7 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
         with suppress(np.linalg.LinAlgError):
             start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: (
                 fit.cost + price(samples) * parameters(samples, fit, free)))
-    return replace(tried(samples, climb(samples, start, free, steps=steps), free),
+    return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
 
 
@@ -177,25 +187,28 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     Return how much more likely the larger one is than its further parameters may cost.
 
     A parameter costs the logarithm of the number of independent samples, and a degree of freedom
-    of the larger one's errors, unless `price` says what it costs.
+    of the errors, unless `price` says what it costs.
     """
     n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
     further = larger.parameters - smaller.parameters
     if price:
         return float(np.sum(gain)) - price * further
     share = np.maximum(gain, 1e-6)
-    free = np.maximum(larger.independent - larger.parameters / len(n_eff), 1.0)
-    spent = n_eff * np.log1p(max(further, 0) / len(n_eff) / free)
+    # A smaller model of which hardly any error is independent is not the worse for that.
+    spent = n_eff * np.log(np.maximum(larger.spent / smaller.spent, 1.0))
     return float(np.sum(gain - spent)) - float(share @ np.log(n_eff) / share.sum()) * further
 
 
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
-    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
+    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
     n_eff = np.maximum(smaller.independent, 2.0)
-    ratio = np.log(before / after)
+    # Zellner's prior of unit information: numbers as many as samples explain anything.
+    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
+    unit = 1.0 / max(float(known), 2.0)
+    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
-    return np.asarray(np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio)
+    return np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
 
 
 def imitates(larger: Tried, smaller: Tried) -> bool:
