@@ -147,9 +147,9 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
 
 
 def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
-    """Ask what orders up to the chosen one explain with inputs that drift."""
+    """Ask what orders up to the one beside the chosen one explain with inputs that drift."""
     chosen = choose(found)
-    for n in sorted(n for n in found if n <= chosen):
+    for n in sorted(n for n in found if n <= chosen + 1):
         if samples.effort.beyond(SEARCH):
             break
         found[n] = replace(found[n], drifting=drifting(

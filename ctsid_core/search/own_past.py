@@ -178,8 +178,8 @@ def _as_rare(record: RecordSamples) -> RecordSamples:
     # A predictor of the samples of several rates is another one from each of them to the next.
     rarest = _rarest(record)
     return replace(record, streams=tuple(
-        s if s.period > _AS_RARE * rarest.period or s is rarest else s.of(np.unique(np.clip(
-            np.searchsorted(s.times, rarest.times, side='right') - 1, 0, None)))
+        s if not len(s.times) or s.period > _AS_RARE * rarest.period or s is rarest else s.of(
+            np.unique(np.clip(np.searchsorted(s.times, rarest.times, side='right') - 1, 0, None)))
         for s in record.streams))
 
 
