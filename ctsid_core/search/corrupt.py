@@ -29,7 +29,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.task import corrupt_rows
-from ctsid_core.search.tried import SEARCH, tried
+from ctsid_core.search.tried import SEARCH, UNEXPLAINED, tried
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.gaps import FEWEST, silences
 from ctsid_core.signals.spikes import MAD, SURE, spikes
@@ -161,14 +161,15 @@ def _differ(parts: Sequence[Usable], part: Joint) -> bool:
 
 def reads_better(one: Solution, other: Solution) -> bool:
     """
-    Return whether a model leaves clearly less of its samples than a model of more samples does.
+    Return whether a model leaves but noise of its samples, and one of more samples clearly more.
 
-    Where a sensor is clipped the model of all imitates that; of a plant that comes to rest, or
-    strikes a stop, the other one explains hardly more.
+    Where a sensor is clipped the model of all imitates that. A plant that comes to rest the other
+    one explains no better, nor one that strikes a stop: there it errs when that is left.
     """
     parts = one.part.parts
     if one.by_prediction or other.by_prediction or any(
-            (p.u, p.y) != (q.u, q.y) for p, q in zip(parts, other.part.parts, strict=False)):
+            (p.u, p.y) != (q.u, q.y) for p, q in zip(parts, other.part.parts, strict=False)) \
+            or tried(one.samples, one.fit, one.free).unexplained > UNEXPLAINED:
         return False
     left = []
     for solution in (one, other):
