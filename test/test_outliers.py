@@ -455,10 +455,10 @@ def test_what_rests_or_switches_is_at_no_end_of_a_range():
     # At rest at 0, as a motor that only turns forward: that is where things rest.
     assert ends(np.maximum(clipped, 0.0)) == np.count_nonzero(y >= 0.8)
     # Of a valve hardly anything is between its ends.
-    valve = np.repeat(np.tile([1.0, 2.0], 20), 50)
+    valve = np.repeat(np.tile([1.0, 2.0], 60), 50)
     valve[50::100], valve[51::100] = 1.4, 1.45
     assert ends(valve) == 0
-    assert ends(np.concatenate((valve, 1.5 + 0.4 * np.sin(t)))) > 1000
+    assert ends(np.concatenate((valve, 1.5 + 0.4 * np.sin(t)))) > 5000
     # What comes to rest does so by what the sensor resolves, to be left at once or not; once.
     resting = np.round(np.tile(1.0 - np.exp(-t[:400]), 5), 1)
     for values in (np.round(y, 2), np.round(np.sin(t), 1), resting, resting[::-1],
