@@ -316,9 +316,13 @@ def test_a_limit_that_may_be_any_smaller_one_is_not_known():
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'limit'), [
-    ('saturation-60', 303, 3, 0.861), *slow(('gain-drift', 15, 1, 0.956))])
+    ('saturation-60', 303, 3, 0.898), *slow(('gain-drift', 15, 1, 0.956))])
 def test_what_a_drift_explains_as_well_is_a_doubt(family, seed, number, limit):
-    """Doublets of two sizes, the larger ones later: a limit, or a gain that falls."""
+    """
+    Doublets of two sizes, the larger ones later: a limit, or a gain that falls.
+
+    A limit of all of them is as likely as any smaller one: the smallest command is named.
+    """
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
     record = robots.experiment(family, seed, number).record
     found = identify(record)

@@ -27,7 +27,7 @@ from ctsid_core.search.commands import Acting, Commands, Start, commands_of, wit
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
 from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
-from ctsid_core.settings import LARGEST_INPUT, LONGEST_DELAY, Actuator, Settings
+from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import in_words
 from ctsid_core.signals.record import placed
 
@@ -326,10 +326,10 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
             one = commands.at(commands.acting(with_number(acting, channels, kind, value)),
                               (near.model.poles, near.model.delay), near)
             return np.inf if one is None else one.cost
-        most = LONGEST_DELAY if kind == 'timeout' else LARGEST_INPUT
+        least, most = commands.bounds(channels[0], kind)
         best = minimize_scalar(
-            cost, method='bounded', options={'xatol': _CLOSELY * value},
-            bounds=(value / _NEAR, min(value * _NEAR, most)))
+            cost, method='bounded', options={'xatol': _CLOSELY * value}, bounds=(
+                max(value / _NEAR, min(value, least)), min(value * _NEAR, max(value, most))))
         same += 1
         if not best.fun < near.cost or abs(best.x - value) < _CLOSELY * value:
             continue

@@ -15,7 +15,7 @@ from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.tried import Tried, tried
-from ctsid_core.settings import LARGEST_INPUT, Actuator
+from ctsid_core.settings import LARGEST_INPUT, LONGEST_DELAY, Actuator
 from ctsid_core.signals.actuators import behind
 from ctsid_core.signals.gaps import silent_between
 from ctsid_core.signals.record import Signal
@@ -28,6 +28,7 @@ _VALUES = {           # and of the largest command, and of the range of all
 _RATES, _SLOWEST, _FASTEST = 8, 8.0, 0.9    # so many rates, from 8 deviations of the command over
                                             # the length to this part of its fastest change
 _WORK = 5e3           # of computing what acts, for each sample of an input
+_NONE = 1e-9          # of the largest command: that is 0
 _STEPS = 3            # after so many steps of a climb; the best of each kind climbs on
 
 Start = tuple[ComplexArray, Array]     # poles and dead times
@@ -97,7 +98,20 @@ class Commands:
             size = 1.0 if kind == 'timeout' else float(
                 np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
             values = [share * size for share in _VALUES[kind]]
-        return [value for value in values if value <= LARGEST_INPUT]
+        least, most = self.bounds(channel, kind)
+        return sorted({max(value, least) for value in values if max(value, least) < most})
+
+    def bounds(self, channel: int, kind: str) -> tuple[float, float]:
+        """Return the numbers beyond which all are alike: a limit of every command, and of none."""
+        if kind == 'timeout':
+            return 0.0, LONGEST_DELAY
+        if kind != 'limit':
+            return 0.0, LARGEST_INPUT
+        sizes = np.abs(np.concatenate([
+            r.inputs[channel].values[:, 0] + level[channel]
+            for r, level in zip(self.samples.records, self.levels, strict=True)]))
+        largest = float(np.max(sizes))
+        return float(np.min(sizes, where=sizes > _NONE * largest, initial=largest)), largest
 
     def silent(self, channel: int) -> bool:
         """Return whether an input that is held is silent, and not at rest."""
