@@ -29,10 +29,12 @@ def interruptible() -> Iterator[None]:
         yield
         return
     _handle(_interrupt)
+    unraisable, sys.unraisablehook = sys.unraisablehook, _again
     try:
         yield
     finally:
         _handle(signal.SIG_IGN)  # Python ends: nothing catches it any more
+        sys.unraisablehook = unraisable
 
 
 @contextmanager
@@ -71,6 +73,16 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     elif monotonic() > _deaf_until:
         _deaf_until = monotonic() + _PAUSE
         raise KeyboardInterrupt
+
+
+def _again(swallowed: sys.UnraisableHookArgs) -> None:
+    """Interrupt again, where Python drops objects and prints and forgets what that raises."""
+    global _deaf_until
+    if not issubclass(swallowed.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(swallowed)
+        return
+    _deaf_until = 0.0
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
 
 
 def _loading(frame: FrameType | None) -> bool:

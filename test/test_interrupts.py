@@ -111,6 +111,38 @@ def test_ctrl_c_while_a_reader_is_dropped_is_not_lost():
         drop()
 
 
+def test_ctrl_c_while_an_object_is_dropped_is_not_lost(tmp_path):
+    """As while the pool of a reader is: what its callbacks raise Python prints and forgets."""
+    program = """
+import signal, time, weakref
+from ctsid_ros.interrupts import interruptible
+
+class Dropped:
+    pass
+
+def dropped(_):
+    signal.raise_signal(signal.SIGINT)
+
+with interruptible():
+    one = Dropped()
+    noticed = weakref.ref(one, dropped)
+    try:
+        del one
+        time.sleep(600.0)
+    except KeyboardInterrupt:
+        print('interrupted')
+    other = Dropped()
+    wrong = weakref.ref(other, lambda _: 1 / 0)
+    del other
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', program], cwd=tmp_path, text=True, check=False,
+        env=os.environ | {'PYTHONPATH': str(ROOT)}, capture_output=True, timeout=PATIENCE)
+    assert (done.returncode, done.stdout) == (0, 'interrupted\n')
+    assert 'KeyboardInterrupt' not in done.stderr
+    assert 'ZeroDivisionError' in done.stderr       # any other is printed
+
+
 def test_ctrl_c_before_the_command_can_handle_it_is_not_lost(tmp_path):
     """Python itself swallows what is raised at some moments of an import."""
     program = """

@@ -110,7 +110,7 @@ class Commands:
         sizes = np.abs(np.concatenate([
             r.inputs[channel].values[:, 0] + level[channel]
             for r, level in zip(self.samples.records, self.levels, strict=True)]))
-        largest = float(np.max(sizes))
+        largest = float(min(np.max(sizes), LARGEST_INPUT))
         return float(np.min(sizes, where=sizes > _NONE * largest, initial=largest)), largest
 
     def silent(self, channel: int) -> bool:
