@@ -20,8 +20,12 @@ from ctsid_core.signals.loop import in_loop
 
 
 def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: float = -2.0,
-                  late: float = 5e-4) -> Record:
-    """Return 8 s of 300 / ((s + 20) (s - pole)) in gusts, under a PI controller at 100 Hz."""
+                  late: float = 5e-4, own_sensor: bool = False) -> Record:
+    """
+    Return 8 s of 300 / ((s + 20) (s - pole)) in gusts, under a PI controller at 100 Hz.
+
+    Which may have a sensor of its own, whose noise is another.
+    """
     rng = np.random.default_rng(seed)
     joined = np.zeros((4, 4))
     joined[:2] = [[-20.0, 0.0, 20.0, 0.0], [30.0, pole, 0.0, 1.0]]
@@ -36,8 +40,9 @@ def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: floa
             point, then = rng.choice([-1.0, 1.0]), t + rng.uniform(0.2, 0.8)
         if moves == 'sways':
             point = np.sin(1.3 * t) + 0.7 * np.sin(2.9 * t + 1.0)
-        sum_ += 0.3 * (point - y[k]) * dt
-        u = sent[k] = 0.12 * (point - y[k]) + sum_
+        seen = state[1] + 0.02 * rng.standard_normal() if own_sensor else y[k]
+        sum_ += 0.3 * (point - seen) * dt
+        u = sent[k] = 0.12 * (point - seen) + sum_
     kept = stamps > 5.0
     return Record.from_arrays(stamps[kept] + 5e-4, sent[kept], stamps[kept], y[kept],
                               input_hold='zoh')
@@ -54,6 +59,32 @@ def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, se
     assert found.verdict.grade is not Grade.GOOD
     assert 'minus one over' in found.verdict.reason
     assert 'set point' in found.verdict.reason
+
+
+@pytest.mark.parametrize(('gust', 'pole', 'seed'), [
+    (2.0, -2.0, 4), *slow((0.5, 1.0, 1), (1.0, -2.0, 3), (2.0, -2.0, 5), (4.0, -2.0, 6))])
+@pytest.mark.parametrize('feedthrough', [False, *slow(True)])
+def test_a_controller_with_a_sensor_of_its_own_is_no_plant(feedthrough, gust, pole, seed):
+    """
+    Its noise is most of how the command changes, and is not that of the outputs.
+
+    Without D three were GOOD, and the others' clocks were said to differ.
+    """
+    record = held_in_place(seed, gust=gust, pole=pole, own_sensor=True)
+    found = identify(record, Settings(feedthrough=feedthrough))
+    assert found.verdict.grade is not Grade.GOOD
+    assert found.verdict.reason.startswith('The response to input u1 is minus one over')
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
+def test_a_plant_under_such_a_controller_is_good_if_the_set_point_moves(seed):
+    found = identify(held_in_place(seed, moves='jumps', gust=0.1, own_sensor=True),
+                     Settings(feedthrough=False))
+    assert found.good, found.verdict.reason
+    omega = np.geomspace(0.5, 10.0, 20)
+    true = 600.0 / ((1j * omega + 20.0) * (1j * omega + 2.0))
+    response = found.model.frequency_response(omega)[:, 0, 0]
+    np.testing.assert_allclose(response / true, 1.0, atol=0.1)
 
 
 def rates(seed: int, late: float, outputs: float, gust: float = 20.0,

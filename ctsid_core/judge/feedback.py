@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,10 +42,14 @@ from ctsid_core.search.solution import Solution
 from ctsid_core.signals.actuators import unramped
 from ctsid_core.signals.loop import (
     MOVING,
+    NEWEST,
     SMOOTH,
+    heard,
     in_loop,
     left_alone,
+    newest_of,
     outputs_before,
+    past_of,
     regressed_on_past,
     resting_times,
 )
@@ -53,6 +58,7 @@ from ctsid_core.signals.record import Record, Signal
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
 _NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
+_NOISY = 0.5          # of how a command changes, in power: what its own past does not tell
 _RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
@@ -67,15 +73,19 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
     once, outputs of the same instant tell of both: they count for `same_instant` alone, and of
     inputs that never rest while outputs move, as a controller that answers at once does not.
     """
+    # A controller with sensors of its own hears another noise than is recorded: means tell of it.
     before = bool(model.D.any()) and not same_instant
     found = np.full((len(records), model.nu), np.inf)
     for row, record in zip(found, records, strict=True):
         j = 0
         for signal in unramped(record.inputs, record.commands):
             rests = resting_times(signal, record) if same_instant else [0.0] * signal.width
-            for answer, rest in zip(_answers(signal, record, before), rests, strict=True):
-                if answer is not None and rest <= MOVING * signal.period:
-                    row[j] = _distance(answer, signal.period, model, j, excited[j])
+            kinds = [_answers(signal, record, before),
+                     *([] if same_instant else [_in_means(signal, record)])]
+            for rest, *answers in zip(rests, *kinds, strict=True):
+                if rest <= MOVING * signal.period:
+                    row[j] = min((_distance(one, model, j, excited[j])
+                                  for one in answers if one is not None), default=np.inf)
                 j += 1
     return np.asarray(found.min(axis=0))
 
@@ -141,30 +151,63 @@ def _has_news(signal: Signal, record: Record, at_once: bool) -> list[bool]:
     return [news(own) >= least for own in changes]
 
 
-def _distance(answer: Array, step: float, model: StateSpace, j: int, excited: Excitation) -> float:
-    """Return the distance, given what the outputs add to each change of the input, (past, ny)."""
-    high = min(excited.high, _HIGH * np.pi / step)
+class _Answer(NamedTuple):
+    """What adds to each change of an input, the latest first, every `step` [s]."""
+
+    outputs: Array      # (past, ny)
+    own: Array          # of its changes before, (past,)
+    step: float
+    shortest: float     # of what it tells of [s]
+
+
+def _distance(answer: _Answer, model: StateSpace, j: int, excited: Excitation) -> float:
+    """Return the distance, given what computes the input."""
+    outputs, own, step, shortest = answer
+    high = min(excited.high, _HIGH * np.pi / shortest)
     if not 0.0 < excited.low < high:
         return np.inf
     omega = np.geomspace(excited.low, high, _FREQUENCIES)
-    lags = np.exp(-1j * np.outer(omega, step * np.arange(len(answer))))
+
+    def lags(first: int, count: int) -> ComplexArray:
+        return np.exp(-1j * np.outer(omega, step * np.arange(first, first + count)))
     # Changes add up, and the sum is held.
-    controller: ComplexArray = lags @ answer / (1j * omega * step)[:, np.newaxis]
+    added = 1j * omega * step * (1.0 - lags(1, len(own)) @ own)
+    controller: ComplexArray = lags(0, len(outputs)) @ outputs / added[:, np.newaxis]
     rows = np.einsum('fi,fij->fj', controller, model.frequency_response(omega))
     rows[:, j] -= 1.0
     return float(np.median(np.linalg.norm(rows, axis=1)))
 
 
-def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None]:
-    """Return what outputs before it add to each change of a channel, (past, ny), if they tell."""
+def _answers(signal: Signal, record: Record, at_once: bool) -> list[_Answer | None]:
+    """Return what outputs before it add to each change of a channel, if they tell."""
     # Strictly before it if outputs follow the inputs `at_once`.
     outputs, changes, past = outputs_before(signal, record, at_once)
     if not past:
         return [None] * signal.width
     weights, left = regressed_on_past(outputs[1:], changes, past)
-    found: list[Array | None] = []
+    found: list[_Answer | None] = []
     for own, power, w in zip(changes, left, weights, strict=True):
         rest = left_alone(own, past)
         tells = power < rest and rest > SMOOTH * np.mean(own ** 2)
-        found.append(w.reshape(past, -1) if tells else None)
+        found.append(_Answer(w.reshape(past, -1), np.zeros(0), signal.period, signal.period)
+                     if tells else None)
+    return found
+
+
+def _in_means(signal: Signal, record: Record) -> list[_Answer | None]:
+    """Return what means of outputs before it add to each change of a channel, if they tell."""
+    # Strictly before it: what follows the inputs at once tells of them.
+    outputs, changes, _ = outputs_before(signal, record, True)
+    past, ny = past_of(outputs), outputs.shape[1]
+    if past < NEWEST:
+        return [None] * signal.width
+    means = newest_of(outputs, NEWEST ** 2)
+    means = means.reshape(len(means), -1, NEWEST).mean(axis=2)
+    found: list[_Answer | None] = []
+    for own in changes:
+        noisy = left_alone(own, past) > _NOISY * float(np.mean(own ** 2))
+        answer = heard(own, means, past) if noisy else None
+        found.append(None if answer is None else _Answer(
+            np.repeat(answer[1].reshape(ny, NEWEST)[:, ::-1].T / NEWEST, NEWEST, axis=0),
+            answer[0], signal.period, NEWEST * signal.period))
     return found

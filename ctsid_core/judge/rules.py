@@ -66,7 +66,9 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
         if (fault := next(_faults(evidence), None)) and status in _FAULTY:
             remedy, reason = fault
         given = evidence.doubt is not None and evidence.doubt[1] in GIVEN
-        doubtful = status in _DOUBTED and (remedy in _GUESSED or given)
+        # Noise that a controller adds to its command looks like another hold.
+        noisy = fault and evidence.doubt and OTHER_HOLD in evidence.doubt[1]
+        doubtful = status in _DOUBTED and (given or remedy in _GUESSED and not noisy)
         doubt = evidence.wrapped or (evidence.doubt if doubtful else None)
         if reason not in evidence.faults and doubt and doubt[1] not in reason:
             what, setting = doubt

@@ -26,7 +26,7 @@ _TOLERANCE = 1e-10    # of regressors that depend on each other
 SMOOTH = 1e-10        # power of changes that its own past does not tell: less, and it tells all
 MOVING = 1.5          # intervals that an input rests for as a rule: no longer, and it never rests
 _HEARS = 8.0          # deviations of what numbers gain by chance, that outputs have to tell
-_NEWEST = 5           # outputs, that a controller answers most: with 20 loops tell half as clearly
+NEWEST = 5            # outputs, that a controller answers most: with 20 loops tell half as clearly
 _USUAL = 20.0         # times the median size of changes, to which larger ones are clipped
 
 
@@ -50,20 +50,41 @@ def in_loop(records: Sequence[Record]) -> bool:
 
 def _hears(changes: Array, outputs: Array) -> bool:
     """Return whether outputs (N, ny) tell of changes (N - 1,): of each those before it."""
+    past = past_of(outputs)
+    newest = min(NEWEST, past)
+    return past > 0 and heard(changes, newest_of(outputs, newest), past) is not None
+
+
+def past_of(outputs: Array) -> int:
+    """Return how many changes before count, beside outputs (N, ny)."""
     count, ny = outputs.shape
-    past = min(_PAST, (count - 1) // (_EACH * (ny + 1)))
-    if past < 1:
-        return False
+    return int(min(_PAST, (count - 1) // (_EACH * (ny + 1))))
+
+
+def newest_of(outputs: Array, count: int) -> Array:
+    """Return so many outputs (N, ny) up to each, ny times the latest last."""
+    seen = sliding_window_view(outputs, count, axis=0)
+    return seen.reshape(len(seen), -1)
+
+
+def heard(changes: Array, seen: Array, past: int) -> tuple[Array, Array] | None:
+    """
+    Return how changes (N,) depend on so many before and on what is `seen`, if that tells.
+
+    Of each row of `seen` (N or fewer, k), the last of the last change. Weights (past,), the latest
+    first, and (k,).
+    """
     most = _USUAL * float(np.median(np.abs(changes)))
+    if not most:                # it mostly rests
+        return None
     own = np.clip(changes, -most, most)
-    newest = min(_NEWEST, past)
-    seen = sliding_window_view(outputs, newest, axis=0)[past + 2 - newest:]
-    before = sliding_window_view(own, past)[:-1]
-    _, (left,) = _regressed(np.hstack((before, seen.reshape(len(seen), -1))),
-                            own[np.newaxis, past:])
+    count = min(len(own) - past, len(seen))
+    before = np.hstack((sliding_window_view(own, past)[:-1][-count:], seen[-count:]))
+    (weights,), (left,) = _regressed(before, own[np.newaxis, -count:])
     least = SMOOTH * float(np.mean(own ** 2))
-    gain = len(before) * np.log((left_alone(own, past) + least) / (left + least))
-    return bool(gain > _HEARS * np.sqrt(2.0 * newest * ny))
+    gain = count * np.log((left_alone(own, past) + least) / (left + least))
+    tells = gain > _HEARS * np.sqrt(2.0 * seen.shape[1])
+    return (weights[past - 1::-1], weights[past:-1]) if tells else None
 
 
 def never_rest(records: Sequence[Record]) -> bool:
