@@ -38,7 +38,7 @@ def brute(t, u, kind: str, value: float, t_u) -> np.ndarray:
     place, found = 0.0, np.empty(len(t))
     for k, wanted in enumerate(sent):
         if kind == 'rate_limit':
-            place += np.clip(wanted - place, -value * FINE, value * FINE)
+            place += max(min(wanted - place, value * FINE), -value * FINE)
         elif abs(wanted - place) > 0.5 * value:
             place = wanted - 0.5 * value * np.sign(wanted - place)
         found[k] = place
@@ -108,7 +108,7 @@ def test_what_lies_before_a_plant_is_found_and_the_plant_behind_it_is_right(kind
     assert not any(c.name == kind for c in again.choices)
 
 
-@pytest.mark.parametrize('seed', [1, 2, *slow(3, 4, 5, 6)])
+@pytest.mark.parametrize('seed', [1, *slow(2, 3, 4, 5, 6)])
 @pytest.mark.parametrize('noise', [15.0, 30.0])
 def test_a_plant_that_is_linear_has_nothing_before_it(seed, noise):
     found = identify(driven(seed, noise=noise))
@@ -148,7 +148,7 @@ def test_commands_that_never_rest_are_no_loop_if_they_hear_nothing(family, numbe
 
 
 @pytest.mark.parametrize(('family', 'loop'), [
-    ('cart-pole', True), ('rates-1x1', True), ('rates-4x3', True), ('roll', False),
+    ('cart-pole', True), *slow(('rates-1x1', True), ('rates-4x3', True)), ('roll', False),
     ('turbulence-strong', False), ('second-input', False), ('saturation-60', False)])
 def test_who_hears_the_outputs_is_in_a_loop(family, loop):
     """One of 7 may seem the other one: of sums of sines, e.g., next to nothing is new."""
@@ -182,7 +182,7 @@ def keyed(seed: int, stops: float, noise: float | None = 26.0) -> Record:
         stamps, sent, begins = [*stamps, of], [*sent, 0.0 * of + value], following
     place = 0.0
     for k, wanted in enumerate(acts):
-        acts[k] = place = place + np.clip(wanted - place, -0.5 * FINE, 0.5 * FINE)
+        acts[k] = place = place + max(min(wanted - place, 0.5 * FINE), -0.5 * FINE)
     y = held_response(plant([[-4.0]], [[4.0]], [[1.0]]), t, acts[:, np.newaxis], t_y)
     return Record.from_arrays(
         np.concatenate(stamps), np.concatenate(sent)[:, np.newaxis], t_y, noisy(rng, y, noise),
@@ -211,6 +211,7 @@ def test_sizes_beyond_what_may_be_set_are_not_looked_for():
     assert not any((found.model or found.rejected_model).actuators[0])
 
 
+@pytest.mark.slow
 def test_a_base_stops_and_ramps():
     """Keys, a timeout of 0.5 s and an acceleration of 0.5: each for itself was taken for more."""
     found = identify(keyed(1, 0.5))
@@ -220,6 +221,7 @@ def test_a_base_stops_and_ramps():
     assert found.model.poles == pytest.approx([-4.0], rel=0.05)
 
 
+@pytest.mark.slow
 def test_channels_of_one_message_have_their_own():
     one, other = driven(1, 'limit', 0.7), driven(2)
     stamps = np.union1d(one.inputs[0].time, other.inputs[0].time)
@@ -233,9 +235,9 @@ def test_channels_of_one_message_have_their_own():
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
-    ('no-gain-jump', 300, 2), ('no-gain-jump', 4, 6), ('no-pole-jump', 300, 6),
-    ('quadratic-drag', 135, 6), ('quadratic-drag', 303, 6), ('no-clipped', 4, 0),
-    ('gain-drift', 140, 2), *slow(('gain-drift', 300, 1))])
+    ('no-gain-jump', 300, 2), ('quadratic-drag', 135, 6), ('gain-drift', 140, 2), *slow(
+        ('no-pole-jump', 300, 6), ('no-clipped', 4, 0), ('no-gain-jump', 4, 6),
+        ('quadratic-drag', 303, 6), ('gain-drift', 300, 1))])
 def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
     """Two models, or curves, tell of jumps and drag as well; a clipped sensor leaves too much."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
@@ -245,8 +247,8 @@ def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
 
 
 @pytest.mark.parametrize(('kind', 'seeds', 'duration'), [
-    ('limit', range(20, 23), 30.0), ('backlash', range(20, 23), 30.0),
-    ('limit', range(20, 23), 120.0), *slow(*((kind, range(20, 32), 30.0) for kind in EACH))])
+    ('limit', range(20, 22), 60.0), *slow(
+        ('limit', range(20, 23), 120.0), *((kind, range(20, 32), 30.0) for kind in EACH))])
 def test_what_acts_is_as_sure_as_it_is_said_to_be(kind, seeds, duration):
     """As all samples tell, of which the search looks at a thousand."""
     errors = []
@@ -260,7 +262,7 @@ def test_what_acts_is_as_sure_as_it_is_said_to_be(kind, seeds, duration):
     assert np.sqrt(np.mean(np.square(errors))) < 1.8
 
 
-@pytest.mark.parametrize('place', [0, 1])
+@pytest.mark.parametrize('place', [0, *slow(1)])
 def test_an_input_that_rests_has_no_say_in_what_acts_of_another(place):
     given = driven(20, 'limit', 0.7)
     sent, measured = given.inputs[0], given.outputs[0]
@@ -270,6 +272,7 @@ def test_an_input_that_rests_has_no_say_in_what_acts_of_another(place):
     assert found.model.actuators[1 - place].limit == pytest.approx(0.7, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_part_without_a_sample_of_an_output_is_no_reason_to_fail():
     """Of what is delayed by half a second nothing is left of a short part."""
     given = driven(20, 'limit', 0.7)
@@ -284,16 +287,17 @@ def test_a_part_without_a_sample_of_an_output_is_no_reason_to_fail():
     assert found.model.actuators[0].limit == pytest.approx(0.7, rel=0.02)
 
 
-@pytest.mark.parametrize('budget', [3.0, 6.0])
-def test_a_budget_that_ends_before_what_acts_is_found_is_told(budget):
-    found = identify(driven(21, 'backlash', 0.4, duration=600.0), Settings(budget=budget))
-    assert any(found.model.actuators[0]) == (budget > 4.0) == found.good
+@pytest.mark.parametrize(('duration', 'budget', 'lasts'), [
+    (100.0, 0.8, False), (100.0, 2.4, True), *slow((600.0, 3.0, False), (600.0, 6.0, True))])
+def test_a_budget_that_ends_before_what_acts_is_found_is_told(duration, budget, lasts):
+    found = identify(driven(21, 'backlash', 0.4, duration=duration), Settings(budget=budget))
+    assert any(found.model.actuators[0]) == lasts == found.good
     assert found.good or 'whether actuators stop' in found.verdict.reason
 
 
 @pytest.mark.parametrize(('family', 'number', 'kind', 'value'), [
-    ('saturation-30', 0, 'limit', 0.78), ('backlash', 4, 'backlash', 0.198),
-    *slow(('backlash', 5, 'backlash', 0.29))])
+    ('backlash', 4, 'backlash', 0.198), *slow(
+        ('saturation-30', 0, 'limit', 0.78), ('backlash', 5, 'backlash', 0.29))])
 def test_kinds_are_compared_at_the_number_that_is_likeliest(family, number, kind, value):
     """A rate limit, a dead zone, or a limit beside it was likelier at one of the numbers tried."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
@@ -307,6 +311,7 @@ def test_kinds_are_compared_at_the_number_that_is_likeliest(family, number, kind
     assert trials.simulated(found.model, given.test)[0] > 98.0
 
 
+@pytest.mark.slow
 def test_a_limit_that_may_be_any_smaller_one_is_not_known():
     """Where it is 0.66 one level is below it; that none is, too, is two deviations less likely."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
@@ -336,8 +341,9 @@ def test_what_a_drift_explains_as_well_is_a_doubt(family, seed, number, limit):
     assert 'drifts' not in identify(record, Settings(limit=limit)).verdict.reason
 
 
-@pytest.mark.parametrize('kind', EACH)
-@pytest.mark.parametrize('part', [0.7, *slow(1.5)])
+@pytest.mark.parametrize(('kind', 'part'), [
+    ('backlash', 0.7), *slow(
+        ('dead_zone', 0.7), ('limit', 0.7), ('rate_limit', 0.7), *((kind, 1.5) for kind in EACH))])
 def test_what_is_given_wrongly_is_a_doubt(kind, part):
     record, wrong = driven(1, kind, EACH[kind]), Settings(**{kind: part * EACH[kind]})
     found = identify(record, wrong)
@@ -353,6 +359,7 @@ def test_what_is_given_and_is_not_there_is_a_doubt():
     assert found.verdict.reason.endswith('set `u1.limit: auto`.')
 
 
+@pytest.mark.slow
 def test_a_number_that_nobody_gave_is_no_doubt():
     """It moved from one round to the next, and was said to be given."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
@@ -360,6 +367,7 @@ def test_a_number_that_nobody_gave_is_no_doubt():
     assert found.good, found.verdict.reason
 
 
+@pytest.mark.slow
 def test_a_number_that_is_given_and_does_no_harm_is_no_doubt():
     """Beside one that is found it moved where the likelihood is flat."""
     found = identify(driven(1, 'dead_zone', 0.3), Settings(limit=1.05))
@@ -367,7 +375,7 @@ def test_a_number_that_is_given_and_does_no_harm_is_no_doubt():
     assert found.model.actuators[0].limit == 1.05
 
 
-@pytest.mark.parametrize('kind', EACH)
+@pytest.mark.parametrize('kind', ['limit', 'rate_limit', *slow('dead_zone', 'backlash')])
 def test_what_is_given_rightly_is_none(kind):
     found = identify(driven(1, kind, EACH[kind]), Settings(**{kind: 1.03 * EACH[kind]}))
     assert found.good, found.verdict.reason
