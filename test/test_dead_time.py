@@ -56,8 +56,8 @@ def two_inputs(rng, delays, snr=20.0) -> tuple[Record, object]:
 
 
 @pytest.mark.parametrize(('delay', 'rate', 'order'), [
-    (0.037, 20.0, 2), (0.15, 33.0, 0), *slow(
-        (0.01, 50.0, 0), (0.01, 50.0, 2), (0.037, 20.0, 0), (0.15, 33.0, 2))])
+    (0.15, 33.0, 0), *slow(
+        (0.037, 20.0, 2), (0.01, 50.0, 0), (0.01, 50.0, 2), (0.037, 20.0, 0), (0.15, 33.0, 2))])
 def test_dead_time_is_found_with_its_deviation(delay, rate, order):
     given = held(np.random.default_rng(5), HD51, rate, 100.0, delay=delay, snr=20.0)
     found = identify(given, FAST.replace(order=order))
@@ -174,7 +174,7 @@ def two_lags(rng, delay: float, *, blue: bool = False) -> Record:
     return replace(given, outputs=(replace(signal, values=y),))
 
 
-@pytest.mark.parametrize('seed', [0, 1, *slow(2, 3, 4, 5)])
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
 def test_noise_of_differences_tells_a_dead_time(seed):
     """As of counts. None was found of 10 ms, and a pole that was 4 to 6 deviations off."""
     found = identify(two_lags(np.random.default_rng([50, seed]), 0.01, blue=True), FAST)
@@ -184,8 +184,9 @@ def test_noise_of_differences_tells_a_dead_time(seed):
     assert np.all(np.abs(found.model.poles - [-1.0, -6.0]) < 3.0 * found.pole_std)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('delay', 'runs'), [
-    (0.01, 12), *slow((0.0, 60), (0.005, 60), (0.01, 60))])
+    (0.01, 5), *slow((0.0, 60), (0.005, 60), (0.01, 60))])
 def test_a_dead_time_that_is_taken_for_none_is_not_known(delay, runs):
     """Nor are poles as well as if it were: their deviations were half of what they missed."""
     missed, taken = [], 0
@@ -260,8 +261,9 @@ def with_jumps(seed: int, order: int, every: float) -> tuple[Record, Record, flo
     return late[0], late[1], p.delay[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('seeds', 'order'), [
-    (range(3), 1), *slow((range(6), 1), (range(6, 26), 1), (range(20), 2))])
+    (range(1, 3), 1), *slow((range(6), 1), (range(6, 26), 1), (range(20), 2))])
 def test_a_held_input_that_acts_at_once_after_its_dead_time(seeds, order):
     """Jumps pass samples only now and then; it is known no better than from one to the next."""
     right, off, fits = 0, [], []
@@ -283,7 +285,7 @@ def test_a_held_input_that_acts_at_once_after_its_dead_time(seeds, order):
 
 
 def test_a_given_dead_time_is_taken_as_it_is():
-    given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.08, snr=20.0)
+    given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.08, snr=20.0, duration=5.0)
     for delay in (0.0, 0.05):
         found = identify(given, FAST.replace(delay=delay, order=2))
         assert (found.model or found.rejected_model).delay == (delay,)
@@ -291,7 +293,7 @@ def test_a_given_dead_time_is_taken_as_it_is():
 
 
 def test_the_same_record_gives_the_same_bits():
-    given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.037, snr=20.0)
+    given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.037, snr=20.0, duration=4.0)
     first, second = identify(given, FAST), identify(given, FAST)
     assert first.model == second.model
     assert first.delay_std.tobytes() == second.delay_std.tobytes()
@@ -424,6 +426,7 @@ def test_a_fit_is_of_outputs_that_can_be_simulated():
     assert found.fit[0] > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('rate_u', 'rate_y', 'limits', 'seeds'), [
     (200.0, 15.0, (0.5, 1.8), 4),
     *slow((200.0, 15.0, (0.5, 1.8), 8), (1000.0, 10.0, (0.1, 1.8), 8))])
@@ -489,6 +492,7 @@ def test_a_dead_time_that_was_dropped_is_not_known_to_be_none():
     assert all(abs(delay - 0.05) < 3.0 * std for delay, std in told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('late', 'seed'), [(4.0, 3), *slow(
     (2.4, 2), (2.4, 3), (4.0, 2), (4.0, 4), (4.0, 5), (4.0, 7))])
 @pytest.mark.parametrize('feedthrough', [True, *slow(False)])
@@ -542,7 +546,7 @@ def in_gusts(seed: int, kind: str) -> Record:
 
 
 # From none to 0.06 s they are as likely; it was said to be 0 to within 3 to 9 ms.
-@pytest.mark.parametrize('cases', [[(9, 'pilot'), (2, 'multisine')], *slow([
+@pytest.mark.parametrize('cases', [[(2, 'multisine')], *slow([(9, 'pilot')], [
     (seed, kind) for seed in range(13, 25) for kind in ('multisine', 'pilot', 'staircase')])])
 def test_a_dead_time_beside_gusts_is_as_unsure_as_those_that_are_as_likely(cases):
     """14 of the 36 that are slow were more than three deviations off."""
@@ -591,7 +595,7 @@ def late_servo(seed: int) -> Record:
 
 
 @pytest.mark.parametrize(('seeds', 'least'), [
-    (range(30, 32), 2), *slow((range(4), 3)), pytest.param(
+    (range(31, 32), 1), *slow((range(30, 32), 2), (range(4), 3)), pytest.param(
         range(14), 12, marks=[pytest.mark.slow, pytest.mark.xfail(reason='11 of 14')]),
     *slow((range(30, 58), 16))])        # 6 without starts behind the lags of states
 def test_a_gain_after_a_dead_time_is_not_taken_for_many_states(seeds, least):
@@ -607,7 +611,7 @@ def test_a_gain_after_a_dead_time_is_not_taken_for_many_states(seeds, least):
 
 
 @pytest.mark.parametrize(('offset', 'seeds'), [
-    (0.0054, 6), *slow((0.0054, 20), (0.0008, 20))])
+    (0.0054, 3), *slow((0.0054, 20), (0.0008, 20))])
 def test_a_dead_time_beside_the_true_one_is_told_as_unsure_as_it_is(offset, seeds):
     """
     Every second output meets a jump: the likelihood has a maximum to each side of the truth.

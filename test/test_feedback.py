@@ -109,7 +109,7 @@ def rates(seed: int, late: float, outputs: float, gust: float = 20.0,
         second += dt / 0.1 * (first - second)
         y[k] = rate + noise[k]
         total += (point * second - y[k]) * dt
-        u[k] = np.clip(gain * (point * second - y[k]) + integral * total, -1.0, 1.0)
+        u[k] = max(min(gain * (point * second - y[k]) + integral * total, 1.0), -1.0)
         thrust += dt / lag * (u[k] - thrust)
         wind = fades * wind + kicks[k]
         x = np.array([rate + dt * (effect * thrust - drag * rate + wind), thrust, wind, first,
@@ -126,9 +126,9 @@ def rates(seed: int, late: float, outputs: float, gust: float = 20.0,
 
 
 @pytest.mark.parametrize(('late', 'outputs', 'gust', 'seed'), [
-    (2e-3, 0.01, 20.0, 1), (2e-3, 0.005, 20.0, 2), *slow(
-        (4e-3, 0.01, 20.0, 0), (2e-3, 0.005, 20.0, 0), (2e-3, 0.005, 8.0, 3),
-        (4e-3, 0.005, 8.0, 1))])
+    (2e-3, 0.01, 20.0, 1), *slow(
+        (2e-3, 0.005, 20.0, 2), (4e-3, 0.01, 20.0, 0), (2e-3, 0.005, 20.0, 0),
+        (2e-3, 0.005, 8.0, 3), (4e-3, 0.005, 8.0, 1))])
 def test_outputs_that_are_stamped_late_make_no_good_model_of_the_controller(
         late, outputs, gust, seed):
     """All of their commands seem to come before what they answer to; they were GOOD."""
@@ -209,7 +209,7 @@ def test_samples_that_were_lost_on_the_way_hide_nothing(share):
     assert 'minus one over' in identify(lossy, Settings(feedthrough=False)).verdict.reason
 
 
-@pytest.mark.parametrize('moves', ['jumps', 'sways'])
+@pytest.mark.parametrize('moves', ['jumps', *slow('sways')])
 def test_a_set_point_that_moves_is_seen(moves):
     record = held_in_place(0, moves, gust=0.5)
     found = identify(record, Settings(feedthrough=False))
@@ -219,6 +219,7 @@ def test_a_set_point_that_moves_is_seen(moves):
     assert away[0] > 0.45
 
 
+@pytest.mark.slow
 def test_a_command_that_is_rounded_hides_nothing():
     record = held_in_place(1)
     signal = record.inputs[0]
@@ -257,6 +258,7 @@ def test_states_do_not_imitate_a_set_point_that_sways():
     assert (found.model or found.rejected_model).n <= 4
 
 
+@pytest.mark.slow
 def test_oscillations_that_last_know_a_set_point_ahead():
     """They predict ten samples ahead better than the plant, with seven states for two: GOOD."""
     rng = np.random.default_rng(8)
@@ -305,11 +307,12 @@ def test_a_slow_or_coarse_controller_holds_a_plant_that_grows(kind, period):
 
 
 @pytest.mark.parametrize(('kind', 'corner', 'seeds'), [
-    ('sines', 1.0, 2), *slow(('sines', 1.0, 3), ('levels', 0.8, 3), ('levels', 1.0, 3))])
+    ('sines', 1.0, [1]), *slow(
+        ('sines', 1.0, range(3)), ('levels', 0.8, range(3)), ('levels', 1.0, range(3)))])
 def test_what_is_filtered_backward_in_time_does_not_grow(kind, corner, seeds):
     """A stable pair of 5 rad/s; models were GOOD with poles of the filter, of +4.4 +- 4.4j."""
     told = False
-    for seed in range(seeds):
+    for seed in seeds:
         rng, t = np.random.default_rng(seed), 0.01 * np.arange(1200)
         u = np.repeat(rng.standard_normal(48), 25) if kind == 'levels' else np.sin(
             np.outer(t, rng.uniform(1.0, 9.0, 12)) + rng.uniform(0.0, 6.0, 12)).sum(axis=1)
@@ -370,7 +373,7 @@ def vibrating(seed: int, noise: float = 0.15) -> Record:
     return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
 
 
-@pytest.mark.parametrize('seed', [0, 1, 7, *slow(2, 3, 4, 8, 17, 22)])
+@pytest.mark.parametrize('seed', [7, *slow(0, 1, 2, 3, 4, 8, 17, 22)])
 def test_a_vibration_is_no_mode_that_inputs_drive(seed):
     """
     Predictions know it, and where no controller is heard they are not asked first.
@@ -402,6 +405,7 @@ def balancing(seed: int) -> Record:
                               input_hold='zoh')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [2, *slow(3, 4)])
 def test_what_hears_nothing_hinges_on_no_stamps(seed):
     """A set point that is drawn at will is no controller's, and its stamps are right."""

@@ -141,6 +141,7 @@ def test_errors_of_a_narrow_band_are_few_independent_samples():
         assert least * count < independent(((x[:, np.newaxis],),))[0] <= most * count
 
 
+@pytest.mark.slow
 def test_what_is_left_of_an_output_that_is_all_explained_buys_no_state():
     """One output is curved by two millionths of its motion, the other one is noisy."""
     for seed in range(4):
@@ -175,6 +176,7 @@ def test_noise_does_not_make_a_jump_cost_less(seed, number):
     assert 6.0 < found.verdict.change_cost < 9.0         # the root of 0.24^2 - 0.23^2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
     ('no-pole-jump', 19, 2), *slow(
         ('no-pole-jump', 10, 2), ('no-pole-jump', 11, 4), ('no-gain-jump', 9, 6),
@@ -212,6 +214,7 @@ def test_what_other_orders_tell_otherwise_is_not_known(family, seed, number):
     assert 'models that may be as right' in found.verdict.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('family', 'seed', 'number', 'fit'), [
     ('sliding-mass', 70, 2, 98.0), *slow(
         ('sliding-mass', 67, 3, 98.0), ('sliding-mass', 70, 5, 96.0))])
