@@ -177,6 +177,7 @@ def test_few_new_samples_are_no_test(stride, tested):
     assert (found.fresh_end_ns > 0) == tested
 
 
+@pytest.mark.slow
 def test_a_changed_plant_shows_before_it_is_learnt():
     old, new = windows(pair(), count=2), windows(pair(9.0), seed=2, count=4, start=8.0)
     found = run([*old, *new])
@@ -212,7 +213,7 @@ def changing(at: float, duration: float) -> Record:
 
 def test_once_a_change_is_known_no_window_that_straddles_it_is_accepted():
     whole, at = changing(12.0, 26.0), 12.0
-    starts = [1.0, 6.0, 8.0, 10.0, 11.0, 13.0, 14.0, 15.0]
+    starts = [1.0, 8.0, 10.0, 11.0, 13.0, 15.0]
     records = [whole.between(float(start), float(start) + 8.0) for start in starts]
     found = [t.estimate for t in run(records)]
     names = [e.status.name for e in found]
@@ -388,7 +389,7 @@ def test_spikes_in_new_data_do_not_speak_against_a_model():
     assert without_corrupt(second, SETTINGS) == (second, ())
 
 
-@pytest.mark.parametrize('acts', [False, True])
+@pytest.mark.parametrize('acts', [False, *slow(True)])
 def test_inputs_are_bridged_where_a_model_says_so(acts):
     """A test of a model used spikes of inputs that identification had left out."""
     rng, t = np.random.default_rng(0), 0.02 * np.arange(1500)
@@ -490,10 +491,11 @@ def test_windows_answer_to_inputs_that_came_before_them(delay, feedthrough):
         assert found.model.delay[0] + sum(lags) - max(lags) == pytest.approx(delay, abs=0.015)
 
 
+@pytest.mark.slow
 def test_windows_of_five_dead_times_invent_no_change():
     """Without the inputs before them two of three were "does not follow the inputs"."""
     tracker = Tracker(Settings(feedthrough=False))
-    for record in windows_of(late_lag(2.0, 50.0), 10.0, 5.0, tracker.settings)[1:]:
+    for record in windows_of(late_lag(2.0, 35.0), 10.0, 5.0, tracker.settings)[1:]:
         found = tracker.take(record).estimate
         assert (found.status, found.model.n) == (Status.OK, 1)
         assert found.model.delay[0] == pytest.approx(2.0, abs=0.02)
@@ -516,7 +518,7 @@ def test_inputs_before_a_window_change_nothing_where_none_acts_later():
         k: alone.statistics[k] for k in alone.statistics if 'samples' in k}
 
 
-@pytest.mark.parametrize('held_out', [0.0, 0.3])
+@pytest.mark.parametrize('held_out', [0.0, *slow(0.3)])
 def test_windows_apart_tell_of_a_change_by_what_the_model_left_in_its_own(held_out):
     """There are no older data in a window that begins after the one before has ended."""
     settings = Settings(order=1, feedthrough=False, delay=0.0, held_out=held_out)
@@ -544,7 +546,7 @@ def test_a_window_whose_sensor_has_fallen_silent_tells_nothing_of_now():
     died = replace(whole, outputs=(replace(y, time=y.time[y.time < 25.0],
                                            values=y.values[y.time < 25.0]),))
     seen = 0
-    for record in windows_of(died, 10.0, 1.0, settings):
+    for record in windows_of(died, 10.0, 2.0, settings):
         end = record.epoch_ns / S - 1000.0 + record.duration
         verdict = run([record], settings)[0].estimate.verdict
         if end > 34.0:          # it is too short for a model then
@@ -554,7 +556,7 @@ def test_a_window_whose_sensor_has_fallen_silent_tells_nothing_of_now():
         if end > 26.1:
             silent_for = f'No sample of y1 has come in the last {end - 24.98:.3g} s of the window'
             assert verdict.reason.startswith(silent_for)
-    assert seen == 25
+    assert seen == 13
     # A command that is sent when it changes is known all the time.
     rests = replace(whole, inputs=(replace(u, time=u.time[u.time < 25.0],
                                            values=u.values[u.time < 25.0]),)).between(20.0, 30.0)
