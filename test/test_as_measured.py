@@ -40,8 +40,8 @@ def fit_elsewhere(found) -> float:
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3)])
 @pytest.mark.parametrize(('slow_rate', 'rate', 'least'), [
-    (10.0, 100.0, 98.5), *slow((20.0, 200.0, 98.5), (5.0, 50.0, 98.5)),
-    (33.0, 100.0, 96.5)])       # half a message late
+    (10.0, 100.0, 98.5), *slow((20.0, 200.0, 98.5), (5.0, 50.0, 98.5),
+                               (33.0, 100.0, 96.5))])       # half a message late
 def test_a_value_that_is_sent_again_counts_once(slow_rate, rate, least, seed):
     """They were GOOD with fits elsewhere of 60 to 95 %: samples held are not what a plant does."""
     t_u, u, t, y = moved(seed, slow_rate)

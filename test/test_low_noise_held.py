@@ -49,7 +49,7 @@ def errors(found, p: Plant):
 
 
 SYSTEMS = {'degree 1': FIRST, 'degree 2': SECOND, '2 x 2': MANY}
-QUICK = [('degree 1', 'zoh', 'input slower', None), ('degree 2', 'linear', 'input faster', None),
+QUICK = [('degree 2', 'linear', 'input faster', None),
          ('degree 1', 'linear', 'same stamps', 90.0), ('degree 2', 'zoh', 'input slower', 90.0)]
 
 

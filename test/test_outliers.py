@@ -165,6 +165,7 @@ def test_spikes_in_gusts_are_not_given_back(seed):
         assert found.statistics['corrupt_samples'] == 30
 
 
+@pytest.mark.slow
 def test_samples_are_not_given_back_where_a_budget_would_not_last_for_it():
     """A second search on what is left would be worse than the first."""
     record = held(np.random.default_rng(3), PLANTS['hd52'], 50.0, 200.0, snr=30)
@@ -178,8 +179,8 @@ def test_samples_are_not_given_back_where_a_budget_would_not_last_for_it():
 def test_jumps_of_a_fast_pole_are_told_from_spikes(pole, seeds):
     """The current of a motor jumps with the voltage, within one sample."""
     for seed in range(seeds):
-        rng, t = np.random.default_rng(seed), np.arange(0.0, 30.0, 0.005)
-        u = 3.0 * np.repeat(rng.integers(-2, 4, 60), 100)
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 15.0, 0.005)
+        u = 3.0 * np.repeat(rng.integers(-2, 4, 30), 100)
         x, y = np.zeros(2), np.empty(len(t))
         decay = np.exp(np.array([-3.0, pole]) * 0.005)
         gains = np.array([0.3, 0.5])
@@ -347,6 +348,7 @@ def test_spikes_of_an_input_that_no_output_answers_are_bridged(seed):
         2.5 / (2.5 + 1.0j), rel=0.05)
 
 
+@pytest.mark.slow
 def test_jabs_are_told_from_spikes_channel_by_channel():
     """Two axes of a stick in one message: one is jabbed, the other one has spikes."""
     rng = np.random.default_rng(5)
@@ -415,8 +417,8 @@ def under_levels(seed, span=20.0, turns=0.02):
     return rng, t, t_u, u, x[:, 0]
 
 
-@pytest.mark.parametrize(('seed', 'noise'), [(0, 0.01), (1, 0.05), *slow(
-    (3, 0.01), (4, 0.03), (6, 0.002))])
+@pytest.mark.parametrize(('seed', 'noise'), [(0, 0.01), *slow(
+    (1, 0.05), (3, 0.01), (4, 0.03), (6, 0.002))])
 def test_a_sensor_that_is_clipped_is_read_within_its_range(seed, noise):
     """States imitated what was cut off, GOOD, with 66 % of another flight."""
     rng, t, t_u, u, y = under_levels(seed)
@@ -430,6 +432,7 @@ def test_a_sensor_that_is_clipped_is_read_within_its_range(seed, noise):
     assert simulation(found.model, other, trim='refit').fit[0] > 95.0
 
 
+@pytest.mark.slow
 def test_a_clipped_sensor_is_no_other_plant_on_data_kept_apart():
     """Samples at the end of the range count neither there: fits were 45 % for 96."""
     rng, t, t_u, u, y = under_levels(3, 60.0)
@@ -484,7 +487,7 @@ def test_a_plant_that_strikes_a_stop_is_identified_with_that(seed):
     assert not any('range' in note for note in found.notes)
 
 
-@pytest.mark.parametrize(('seed', 'step'), [(0, 0.0), (1, 0.01), *slow((2, 0.0), (3, 0.05))])
+@pytest.mark.parametrize(('seed', 'step'), [(1, 0.01), *slow((0, 0.0), (2, 0.0), (3, 0.05))])
 def test_what_rests_is_not_at_the_end_of_its_range(seed, step):
     """A plant that comes to rest at the largest value, exactly or by what a sensor resolves."""
     _, t, t_u, u, y = under_levels(seed, turns=0.006)

@@ -43,12 +43,13 @@ def in_gusts(seed, plants, rates=(100.0,), jitter=0.0, lost=''):
     return Record((Signal(held, u.reshape(len(held), 1), 'zoh'),), tuple(outputs), 0.0, 30.0)
 
 
-@pytest.mark.parametrize(('plants', 'rate'), [
-    (PLANTS[:1], 100.0), *slow((PLANTS, 100.0), (PLANTS[:1], 30.0), (PLANTS[1:], 100.0))])
-def test_a_jitter_of_stamps_is_not_taken_for_the_plant(plants, rate):
+@pytest.mark.parametrize(('plants', 'rate', 'seeds'), [
+    (PLANTS[:1], 100.0, 3), *slow((PLANTS[:1], 100.0, 6), (PLANTS, 100.0, 6),
+                                  (PLANTS[:1], 30.0, 6), (PLANTS[1:], 100.0, 6))])
+def test_a_jitter_of_stamps_is_not_taken_for_the_plant(plants, rate, seeds):
     """Responses in the band were 10 to 21 % too large, GOOD, up to six of their deviations off."""
     off, deviations = [], []
-    for seed in range(6):
+    for seed in range(seeds):
         found = responses(in_gusts(seed, plants, (rate,), jitter=0.4), plants)
         off.append(found[0])
         deviations.append(found[1])
@@ -56,6 +57,7 @@ def test_a_jitter_of_stamps_is_not_taken_for_the_plant(plants, rate):
     assert np.max(np.abs(deviations)) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('lost', ['any', *slow('bursts')])
 def test_samples_that_are_lost_are_not_taken_for_the_plant(lost):
     """Three in ten, or 5 to 24 at a time: responses were 10 % too large, 2.7 deviations off."""
@@ -66,13 +68,14 @@ def test_samples_that_are_lost_are_not_taken_for_the_plant(lost):
     assert np.sqrt(np.mean(deviations ** 2)) < 1.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('rates', 'seeds'), [
-    ((100.0, 50.0), range(3)), *slow(((100.0, 50.0), range(3, 12)), ((25.0, 100.0), range(12)))])
+    ((100.0, 50.0), range(2)), *slow(((100.0, 50.0), range(12)), ((25.0, 100.0), range(12)))])
 def test_outputs_of_several_rates_are_predicted_at_the_slowest(rates, seeds):
     """Five to seven states stood for the two that a predictor of both rates has not: 17 of 24."""
     found = [identify(in_gusts(seed, PLANTS, rates), Settings(feedthrough=False))
              for seed in seeds]
-    assert sum(e.good for e in found) >= len(seeds) - 1
+    assert sum(e.good for e in found) >= len(seeds) - (len(seeds) > 2)
 
 
 @pytest.mark.slow
