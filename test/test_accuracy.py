@@ -97,6 +97,7 @@ def test_an_unstable_plant_under_its_controller():
     assert np.abs(e).max() < 0.02
 
 
+@pytest.mark.slow
 def test_accuracy_of_a_lightly_damped_structure():
     """Close to what maximum likelihood reached, 20 dB; over many runs: test_studies.py."""
     p = PLANTS['flexible']

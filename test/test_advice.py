@@ -162,6 +162,7 @@ def test_numbers_and_channels_have_to_fit():
         advise(estimate, wider)
 
 
+@pytest.mark.slow
 def test_the_deviation_of_the_experiment_that_was_advised_is_as_foretold():
     """What the longer experiment itself says of its first pole; over many runs: below."""
     case, parts = CASES['measurement noise'], [(1.0, FAST)]

@@ -105,6 +105,7 @@ def steps(form, path) -> np.ndarray:
     return np.array([away(b, a) for a, b in zip(models[:-1], models[1:], strict=True)])
 
 
+@pytest.mark.slow
 def test_entries_move_in_proportion_while_modes_meet_and_part():
     there = 0.7 + 0.6 * np.sin(np.linspace(0, np.pi, 101))  # complex, real, complex again
     path = [oscillator(z) for z in there]

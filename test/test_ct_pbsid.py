@@ -103,6 +103,7 @@ def test_order_pole_and_past_come_from_the_data():
     np.testing.assert_allclose(any_model(again).poles, any_model(estimate).poles, rtol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('hold', ['zoh', *slow('smooth')])
 def test_irregular_stamps_of_their_own(hold):
     p = plants.PLANTS['hd51']

@@ -139,12 +139,12 @@ def test_it_is_asked_before_everything_that_takes_long(settings, reached, monkey
         for name in names:
             monkeypatch.setattr(module, name, counted((module, name), getattr(module, name)))
     rng = np.random.default_rng(5)
-    t, u = np.arange(0.0, 20.0, 0.02), np.repeat(rng.standard_normal((50, 2)), 20, axis=0)
-    y = np.zeros((1000, 3))
-    for k in range(999):
+    t, u = np.arange(0.0, 10.0, 0.02), np.repeat(rng.standard_normal((25, 2)), 20, axis=0)
+    y = np.zeros((500, 3))
+    for k in range(499):
         y[k + 1] = y[k] + 0.02 * ((u[k] @ [[1.0, 0.5, 2.0], [2.0, 1.0, 1.0]]) - y[k] * [1, 2, 4])
     y += 0.05 * rng.standard_normal(y.shape)
-    y[rng.choice(1000, 20, replace=False)] += 10.0
+    y[rng.choice(500, 10, replace=False)] += 10.0
     identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
              settings.replace(order=3, delay=0.0), cancelled=since.clear)
     for module, names in LONG.items():
@@ -306,10 +306,12 @@ def test_a_budget_that_ends_the_search_gives_a_model(case, budget):
     assert found.fit.min() > 75.0                           # the noise leaves 90 %
 
 
-def test_of_a_long_record_a_budget_sees_modes_faster_than_the_samples_it_lasts_for():
+@pytest.mark.parametrize(('duration', 'budget'), [(1200.0, 0.4), *slow((3600.0, 1.0))])
+def test_of_a_long_record_a_budget_sees_modes_faster_than_the_samples_it_lasts_for(
+        duration, budget):
     """Of 360000 samples it takes some 1000, four seconds apart, and a mode of 1 rad/s is there."""
-    found = identify(runpy.run_path(str(BENCHMARK))['recorded'](1, 1, 2, 3600.0, 100.0),
-                     Settings(budget=1.0))
+    found = identify(runpy.run_path(str(BENCHMARK))['recorded'](1, 1, 2, duration, 100.0),
+                     Settings(budget=budget))
     print(found.statistics['seconds_spent'], found.model.poles, found.fit)
     assert found.fit.min() > 89.0                           # the noise leaves 90 %
     np.testing.assert_allclose(np.abs(found.model.poles), 1.0, rtol=0.02)

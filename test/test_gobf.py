@@ -206,6 +206,7 @@ def test_identify_finds_order_and_poles_of_noisy_data(plant, order):
     np.testing.assert_array_equal(again.model.A, found.model.A)
 
 
+@pytest.mark.slow
 def test_fits_noisy_outputs_as_well_as_the_likeliest_model():
     """Residues of rank one are not the best B and C: without the turns 0.3 % of a fit is lost."""
     own = from_rest(1, 20.0).record

@@ -180,7 +180,7 @@ def test_the_arrays_are_left_alone():
     t_u, t_y = jittered(rng, 100.0), jittered(rng, 80.0)
     given = [t_u, rng.standard_normal((len(t_u), 2)), t_y, rng.standard_normal((len(t_y), 2))]
     kept = [a.copy() for a in given]
-    identify(Record.from_arrays(*given), QUICK)
+    identify(Record.from_arrays(*given), QUICK.replace(order=2))
     for a, b in zip(given, kept, strict=True):
         np.testing.assert_array_equal(a, b)
 

@@ -130,7 +130,7 @@ def test_the_trim_of_the_model_is_that_of_the_record_that_ends_last(halves):
             np.testing.assert_allclose(level / size, wanted / size, atol=0.1)
 
 
-@pytest.mark.parametrize(('seed', 'order'), [(0, 3), *slow((0, 0), (1, 0))])
+@pytest.mark.parametrize(('seed', 'order'), slow((0, 3), (0, 0), (1, 0)))
 def test_noise_free_records_give_the_plant(seed, order):
     rng = np.random.default_rng(seed)
     p = PLANTS['hd52']
@@ -266,6 +266,7 @@ def test_a_record_of_another_plant_is_named(change, place):
     assert f'does not hold in all of record {place + 1}: ' in found.verdict.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [1020, *slow(1022)])
 def test_noise_in_one_of_two_records_is_no_change(seed):
     """A model of each side of a record is two models more, where all share a third one."""
@@ -405,6 +406,7 @@ def test_records_are_worth_what_they_tell(durations, rates, snr, limit):
     assert (ratio < limit).all()
 
 
+@pytest.mark.slow
 def test_a_record_shorter_than_a_dead_time_does_no_harm():
     """Its inputs have not acted yet; the other one tells the dead time."""
     rng = np.random.default_rng(3)
@@ -501,6 +503,7 @@ def test_what_is_known_is_asked_in_many_records_as_far_as_in_one():
     assert not found.good
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [4, *slow(0, 10)])
 def test_noise_of_many_short_records_is_no_drift(seed):
     """The largest of 30 by chance: 27 to 35 % of the motion of its record, 5 to 6 % of all."""

@@ -259,6 +259,7 @@ def test_a_plant_that_grows_is_not_stuck_while_its_controller_starts(seed):
     assert verdict.grade is Grade.GOOD
 
 
+@pytest.mark.slow
 def test_a_coarse_sensor_that_sticks_is_stuck_of_models_that_predict():
     def stick(y):
         y[240:] = y[240]
@@ -298,7 +299,7 @@ def test_an_input_that_hardly_moves_is_named(seed):
     assert verdict.reason.startswith('The response to input u2 has a standard deviation ')
 
 
-@pytest.mark.parametrize('seed', [0, 1, *slow(2, 3, 4, 5)])
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
 def test_an_input_that_no_output_follows_is_to_be_left_out(seed):
     p = random_plant(np.random.default_rng(3), 2, 2, 1)
     p.B[:, 1] = 0.0
@@ -382,6 +383,7 @@ def test_the_usual_experiments_are_good(signal):
     assert verdict.excitation[0].frequencies > 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('pole', 'levels'), [
     (-4.0, 'random'), *slow(
         (-0.2, 'random'), (-4.0, 'step'), (-4.0, 'staircase'),
@@ -455,7 +457,7 @@ def test_a_short_sweep_is_no_two_sines():
     assert verdict.excitation[0].frequencies > 3.0
 
 
-@pytest.mark.parametrize('seed', [5, *slow(*range(5))])
+@pytest.mark.parametrize('seed', slow(5, *range(5)))
 def test_a_model_of_too_few_states_does_what_its_fit_says(seed):
     """On another experiment; an order is asked for, so that it is too low is no fault."""
     rng = np.random.default_rng([22, seed])
@@ -538,6 +540,7 @@ def test_the_reason_for_the_largest_order_says_that_it_is_a_bound():
         assert order.why.startswith(why)
 
 
+@pytest.mark.slow
 def test_a_model_without_a_test_is_weak_until_the_next_window():
     rng = np.random.default_rng(5)
     whole = held(rng, random_plant(rng, 2, 1, 1), 50.0, 100.0, snr=20, duration=14.0)
@@ -562,6 +565,7 @@ def changing(seed: int, gain: float, at: float, duration: float = 24.0) -> Recor
     return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [18, *slow(58)])
 def test_two_integrators_in_a_row_are_tested(seed):
     """A crane; what is not held out gives eigenvectors that are nearly parallel."""
@@ -594,6 +598,7 @@ def test_windows_over_a_change_are_not_good(seed, stride):
             assert k == 0 or found.verdict.fresh_ratio[0] < 1.5
 
 
+@pytest.mark.slow
 def test_the_agreement_is_of_both_models():
     whole = changing(0, 1.0, 99.0)
     tracker = Tracker(Settings(order=2))
@@ -618,8 +623,8 @@ def test_what_is_not_linear_is_not_good(what, seed):
     assert 'is not linear' in verdict.reason or seed
 
 
-@pytest.mark.parametrize(('seed', 'what'), [(0, 'nothing'), (1, 'gusts'),
-                                            *slow((2, 'gusts'), (5, 'gusts'))])
+@pytest.mark.parametrize(('seed', 'what'), [(0, 'nothing'), *slow((1, 'gusts'),
+                                            (2, 'gusts'), (5, 'gusts'))])
 def test_disturbances_are_no_curves(seed, what):
     verdict = judged(curved(seed, what))
     assert verdict.curve_gain[0] < 5.0
@@ -747,6 +752,7 @@ def test_a_fast_mode_is_no_direct_term_behind_a_dead_time(delay, doubted):
     assert (found is not None) is doubted
 
 
+@pytest.mark.slow
 def test_a_fast_plant_in_open_loop_is_good_without_a_direct_term():
     """Its command rests, as no controller's does: it may follow at once, and that is a note."""
     rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
@@ -818,7 +824,7 @@ def evidence(error: np.ndarray, names=('u1',), **more) -> Evidence:
 
 
 @pytest.mark.parametrize(('damping', 'late', 'order', 'told'), [
-    (0.1, 0.3, 2, True), (0.7, 0.0, 1, False), *slow((0.4, 0.4, 2, True), (0.4, 0.2, 1, True))])
+    (0.7, 0.0, 1, False), *slow((0.1, 0.3, 2, True), (0.4, 0.4, 2, True), (0.4, 0.2, 1, True))])
 def test_wrong_dead_times_are_told_where_the_order_is_doubted_too(damping, late, order, told):
     """States stand in for a dead time, and it for them: it is asked of models of any order."""
     rng = np.random.default_rng([3, order])
@@ -919,6 +925,7 @@ def test_curves_are_told_of_plants_that_predictions_found(curve):
     assert ('not linear in the inputs' in verdict.reason) == (curve != 'none')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('seed', 'number'), [(17, 1), *slow((43, 1), (44, 0), (44, 1), (45, 2))])
 def test_what_a_controller_answers_is_no_curve(seed, number):
     """A linear quadrotor's rate in gusts, under its PID: 8 to 32 points were taken for squares."""
