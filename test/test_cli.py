@@ -430,6 +430,7 @@ def test_compare_is_of_methods_whatever_the_settings(ctsid, shared, compared):
         k: v for k, v in compared.items() if k not in own}
 
 
+@pytest.mark.slow
 def test_compare_tells_what_cannot_be(ctsid, shared):
     words = 'compare', shared / 'bag', '--params', shared / 'params.yaml'
     for more, said in ((('--start', '1000'), 'nothing of the bag lies after 1000 s: the bag is'),
@@ -535,7 +536,7 @@ def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
         0, Path('params.yaml').read_text().replace('params.yaml', ''))
 
 
-@pytest.mark.parametrize('name', ['quadrotor_roll', *slow('quadrotor_roll.bag')])
+@pytest.mark.parametrize('name', slow('quadrotor_roll', 'quadrotor_roll.bag'))
 def test_init_guesses_the_example_bag(ctsid, name):
     bag = ROOT / 'bags' / name
     assert ctsid('init', bag, '-o', 'params.yaml')[0] == 0
@@ -652,6 +653,7 @@ def test_several_records_as_json_with_a_test_of_each(ctsid, shared, days):
     assert len(found['estimate']['records']) == 2
 
 
+@pytest.mark.slow
 def test_a_record_too_short_to_be_tested_is_learnt_from(ctsid, shared, days, refusal):
     code, out, err = ctsid('identify', *days, '--params', shared / 'params.yaml', '--json',
                            '--test-from', 9, '--quiet')
@@ -783,6 +785,7 @@ def test_the_fit_and_the_deviations_are_the_same_wherever_they_stand(ctsid, shar
         percent(load_estimate('windows/model.json').fit[0])]
 
 
+@pytest.mark.slow
 def test_the_budget_of_the_command_line_is_that_of_the_model(ctsid, shared):
     words = (shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res', '--force',
              '--duration', 6)
@@ -1238,10 +1241,11 @@ def test_blas_has_one_thread_before_numpy_comes(tmp_path):
 # --- real recordings
 
 
-def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
+@pytest.mark.parametrize('more', [('--budget', '2'), *slow(((),))])
+def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder, more):
     """Order and dead time are given, and far too few for all that moves it."""
     bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'
     code, out, err = ctsid('identify', bag, '--params', ROOT / 'config/cubs2_roll.yaml',
-                           '--test-from', 118.8, '--out', 'res', '--json')
+                           '--test-from', 118.8, '--out', 'res', '--json', *more)
     assert code == 0, err
     assert json.loads(out)['test']['fit'][0] > 77

@@ -204,6 +204,7 @@ def test_models_without_data_say_how_far_they_are_apart(run):
     assert 'Measured and' not in page
 
 
+@pytest.mark.slow
 def test_models_of_the_same_signals_are_compared_whatever_they_are_called(run):
     Path('renamed.yaml').write_text(
         Path('params.yaml').read_text().replace('torque', 'u1').replace('rate', 'y1'))

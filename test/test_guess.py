@@ -173,6 +173,7 @@ def test_a_step_comes_before_its_response(tmp_path, columns, duration, at, pole,
     assert keys(guessed(path))[0] == (('run', 'u'), ('run', 'y'))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [3, *slow(1, 2)])
 def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, capsys, seed):
     """An angle tells its rate all but exactly, but no names tell which column is which."""
@@ -212,8 +213,8 @@ def driven(path, columns, **more):
 
 # By their names commands, and by what they do; a lag of the speed, a copy and a wish are none.
 @pytest.mark.parametrize(('columns', 'more'), [
-    (('throttle_cmd', 'brake_cmd', 'steer_cmd', 'speed'), {}),
-    (('a', 'b', 'c', 'speed'), {}),
+    *slow((('throttle_cmd', 'brake_cmd', 'steer_cmd', 'speed'), {})),
+    *slow((('a', 'b', 'c', 'speed'), {})),
     (('throttle_cmd', 'brake_cmd', 'steer_cmd', 'speed'), {
         'motor_current': lambda u, y, rng: np.append(0.0, y[:-1]),
         'throttle_cmd_sent': lambda u, y, rng: np.append(0.0, u[0, :-1]),
@@ -234,7 +235,8 @@ def test_commands_that_move_an_output_as_well_are_told(tmp_path, capsys, columns
     assert found.model.dc_gain[0] == pytest.approx([1.0, 0.7], abs=0.02)
 
 
-@pytest.mark.parametrize('named', [[], ['--output', 'speed']])
+@pytest.mark.slow
+@pytest.mark.parametrize('named', [[], *slow(['--output', 'speed'])])
 def test_all_commands_are_inputs_where_none_is_named(tmp_path, capsys, named):
     """Of two motors each explains half; a battery that sags with both would explain it all."""
     rng, count = np.random.default_rng(7), 3000
@@ -721,8 +723,8 @@ GYRO = '/imu', 'angular_velocity.z'
 
 
 @pytest.mark.parametrize(('seed', 'how'), [
-    (1, {}), (2, {'timeout': 99.0, 'repeat': False}), *slow(
-        *((seed, {}) for seed in (2, 3, 4)), (1, {'timeout': 99.0}))])
+    (2, {'timeout': 99.0, 'repeat': False}), *slow(
+        (1, {}), *((seed, {}) for seed in (2, 3, 4)), (1, {'timeout': 99.0}))])
 def test_keys_that_are_not_pressed_hide_no_plant(tmp_path, seed, how):
     """A driver stops the base, or holds; of two sensors of its turn neither is the input."""
     found = guessed(write_mcap(tmp_path / 'keys.mcap', teleop(seed, **how)))
@@ -732,6 +734,7 @@ def test_keys_that_are_not_pressed_hide_no_plant(tmp_path, seed, how):
     assert len(found.config.inputs) == 1
 
 
+@pytest.mark.slow
 def test_axes_that_move_each_other_have_both_commands(tmp_path):
     found = guessed(write_mcap(tmp_path / 'keys.mcap', teleop(1, cross=0.3)))
     assert {(c.topic, c.field) for c in found.config.inputs} == {PUSH, TURN}

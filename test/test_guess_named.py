@@ -38,7 +38,7 @@ TWIST = 'geometry_msgs/msg/Twist'
 def robot(tmp_path_factory):
     """Two inputs drive two rates each; a switch, and a copy of the rates of a second sensor."""
     rng = np.random.default_rng(5)
-    step, count = 0.01, 4000
+    step, count = 0.01, 2000
     u = np.repeat(rng.uniform(-1, 1, (count // 25, 2)), 25, axis=0)
     x = np.zeros((count, 2))
     for k in range(1, count):
@@ -56,7 +56,7 @@ def robot(tmp_path_factory):
             sent.append(Sent('/arm', 'std_msgs/msg/Float64MultiArray', now, array(
                 *np.sin([0.013 * k, 0.017 * k, 0.019 * k]))))
             sent.append(Sent('/switch', 'std_msgs/msg/Bool', now, make(
-                'std_msgs/msg/Bool', data=k > 2000)))
+                'std_msgs/msg/Bool', data=k > 1000)))
     return str(write_mcap(tmp_path_factory.mktemp('named') / 'robot.mcap', sent))
 
 
@@ -190,13 +190,14 @@ def write_px4(path, seconds: float = 40.0, seed: int = 3):
     wanted = np.repeat(rng.uniform(-1, 1, (count // 100 + 1, 3)), 100, axis=0)
     rate, angle, motors = np.zeros(3), np.zeros(3), np.zeros(4)
     mixer = np.array([[-1, 1, 1], [1, -1, 1], [1, 1, -1], [-1, -1, -1]]) / 4
+    effect = np.linalg.pinv(mixer)
     for k in range(count):
         now = 10.0 + k * step
         setpoint = wanted[k] - 0.8 * angle
         torque = 0.15 * (setpoint - rate) + 0.02 * rng.standard_normal(3)
         command = 0.5 + mixer @ torque
         motors += step * 25 * (command - motors)
-        acting = 4 * np.linalg.pinv(mixer).dot(motors - 0.5) / 4
+        acting = 4 * effect.dot(motors - 0.5) / 4
         rate = rate + step * (30 * acting - 1.5 * rate) + 0.004 * rng.standard_normal(3)
         angle = angle + step * rate
         gyro = rate + 0.01 * rng.standard_normal(3)

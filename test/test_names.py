@@ -229,7 +229,7 @@ def in_ros1(sent: list[Sent]) -> list[Sent]:
 
 
 @pytest.mark.parametrize('container', [
-    'mcap', 'two files', *slow('sqlite3', 'packed', 'ros1')])
+    'two files', *slow('mcap', 'sqlite3', 'packed', 'ros1')])
 def test_of_two_publishers_and_a_changed_order_the_joint_is_read(tmp_path, container):
     sent = arm()
     path = {

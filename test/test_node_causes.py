@@ -113,7 +113,7 @@ def test_where_no_window_comes_any_more_nothing_is_well(live):
 
 def test_a_cause_that_only_the_ingest_knows_is_told_beside_the_verdict(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
-    robot = Robot(live, motion(12.0), node.name)
+    robot = Robot(live, motion(8.0), node.name)
     robot.send(4.6)
     node.wait_models(1)
     while robot._rest:

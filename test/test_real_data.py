@@ -158,10 +158,10 @@ GOOD_JOINTS = {(2, 6.2, 10.2): '72 %, held out 30 %',
 
 # The whole of a walk and a lying down, of which the one large step explains most; the walk alone.
 @pytest.mark.parametrize(('joint', 'start', 'end'), [
-    (7, 6.2, 15.0), *(pytest.param(*one, marks=[pytest.mark.slow, pytest.mark.xfail(
+    (4, 6.2, 10.2), *(pytest.param(*one, marks=[pytest.mark.slow, pytest.mark.xfail(
         strict=False, reason=f'GOOD with a fit of {fit}')]) for one, fit in GOOD_JOINTS.items()),
     *slow(*((k, *part) for k in range(12) for part in ((6.2, 15.0), (6.2, 10.2), (0.0, 15.0))
-            if (k, *part) != (7, 6.2, 15.0) and (k, *part) not in GOOD_JOINTS))])
+            if (k, *part) != (4, 6.2, 10.2) and (k, *part) not in GOOD_JOINTS))])
 def test_a_walking_joint_is_not_good(data_folder, joints, joint, start, end):
     """The fit is up to 94 %, of which a part held out says the same."""
     estimate = identify(joints(data_folder, [joint], start, end))
@@ -184,6 +184,7 @@ def test_predictions_are_no_way_out_where_any_order_simulates(data_folder, joint
     assert estimate.verdict.grade is not Grade.GOOD
 
 
+@pytest.mark.slow
 def test_a_prediction_of_what_hardly_moves_meanwhile_is_not_good(data_folder, joints):
     """A joint in the walk alone: 74 % 20 ms ahead, in which it moves by half of its motion."""
     estimate = identify(joints(data_folder, [8], 6.2, 10.2), Settings(feedthrough=False))

@@ -341,7 +341,7 @@ def test_nothing_is_kept_of_windows_but_their_estimates(ran):
 
 
 def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
-    path = write_mcap(tmp_path / 'b.mcap', flight(20.0), chunk_size=4096)
+    path = write_mcap(tmp_path / 'b.mcap', flight(13.0), chunk_size=4096)
     monkeypatch.setattr(chunks, 'BATCH', 1)
     with open_bag(path) as bag:
         whole = Replay(bag, CONFIG)
@@ -368,9 +368,9 @@ def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
             Replay(bag, CONFIG).run()
 
 
-@pytest.mark.parametrize('delay', ['auto', *slow(0.5)])
+@pytest.mark.parametrize('delay', [0.5, *slow('auto')])
 def test_an_interval_has_the_windows_that_all_of_the_bag_has_there(tmp_path, delay):
-    rng, t = np.random.default_rng(0), np.arange(2001) / 100.0
+    rng, t = np.random.default_rng(0), np.arange(1301) / 100.0
     u = np.repeat(rng.uniform(-1.0, 1.0, 67), 30)[:len(t)]
     late = np.concatenate([np.zeros(50), u])[:len(t)]
     y = TRUTH.simulate((Signal(t, late[:, np.newaxis], 'zoh'),), t)[:, 0]
@@ -390,7 +390,7 @@ def test_an_interval_has_the_windows_that_all_of_the_bag_has_there(tmp_path, del
         whole, part = Replay(bag, config), Replay(bag, config, Interval(start=5.0))
         whole.run()
         part.run()
-        assert len(part.results) == len(whole.results) - 2 == 5
+        assert len(part.results) == len(whole.results) - 2 == 2
         for number, result in enumerate(part.results):
             assert same(part.record(number), whole.record(number + 2))
             np.testing.assert_array_equal(result.estimate.fit,

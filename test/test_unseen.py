@@ -112,6 +112,7 @@ def test_there_is_one_fit_on_unseen_data_and_simulate_has_the_same(tmp_path, cap
     assert json.loads(capsys.readouterr().out)['fit'] == pytest.approx(test['fit'], abs=0.2)
 
 
+@pytest.mark.slow
 def test_predictions_of_another_operating_point_have_its_offsets():
     given = flown(np.random.default_rng(1), 0.1)
     found = identify(given, Settings(feedthrough=False))
