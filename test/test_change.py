@@ -193,7 +193,7 @@ def test_one_of_six_outputs_changes(seed):
     assert identify(record, Settings(delay=0.0, order=1)).status is Status.CHANGED
 
 
-@pytest.mark.parametrize('share', slow(0.165, 0.15, 0.83, 0.85))
+@pytest.mark.parametrize('share', [0.165, *slow(0.15, 0.83, 0.85)])
 def test_a_gain_that_grows_by_half_is_seen_wherever_it_does(share):
     """Beside the instant errors of two models are coloured: the one that leaves least is it."""
     rng = np.random.default_rng(0)

@@ -253,7 +253,6 @@ def test_a_search_keeps_what_its_models_were_of_the_samples_it_looked_at():
         assert one.found.samples.counts.sum() < 0.6 * whole.counts.sum()
 
 
-@pytest.mark.slow
 def test_a_middle_that_the_record_does_not_show_is_not_taken():
     """A staircase that saturates: GOOD, with 80.6 % of another flight, 90 are reachable."""
     given = experiment('saturation-30', 70, 1)

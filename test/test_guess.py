@@ -173,7 +173,6 @@ def test_a_step_comes_before_its_response(tmp_path, columns, duration, at, pole,
     assert keys(guessed(path))[0] == (('run', 'u'), ('run', 'y'))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('seed', [3, *slow(1, 2)])
 def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, capsys, seed):
     """An angle tells its rate all but exactly, but no names tell which column is which."""

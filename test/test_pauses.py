@@ -259,7 +259,6 @@ def test_keys_of_one_speed_move_by_their_timeout_alone():
     assert 'timeout' not in identify(replace(one, inputs=(still,))).verdict.reason
 
 
-@pytest.mark.slow
 def test_a_timeout_is_kept_where_commands_are_lost_too():
     one = commanded(5, 0.5)
     t, values = one.inputs[0].time, one.inputs[0].values

@@ -281,7 +281,6 @@ def test_dead_times_of_several_inputs_are_no_states(seed):
     assert found.fit.min() > 96.0                    # the noise leaves 96.8 %
 
 
-@pytest.mark.slow
 def test_an_order_that_is_given_is_tried_whatever_the_budget_or_the_noise():
     long = held(np.random.default_rng(0), plant(A, B[:, :2], C), 5.0, 50.0, snr=20, duration=60.0)
     found = identify(long, Settings(order=10, budget=0.5))

@@ -51,7 +51,6 @@ def test_gains_and_dead_times_are_unsure_as_rounding_makes_them(levels, seeds):
     assert np.sqrt(np.mean(np.square(late))) < 3.0
 
 
-@pytest.mark.slow
 def test_a_fine_output_is_as_well_known_beside_a_coarse_one():
     """The dead time of an input that moves only the fine one was as unsure as the other's."""
     record, _, _ = coarse(1, 2.0)

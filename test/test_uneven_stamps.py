@@ -57,7 +57,6 @@ def test_a_jitter_of_stamps_is_not_taken_for_the_plant(plants, rate, seeds):
     assert np.max(np.abs(deviations)) < 4.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('lost', ['any', *slow('bursts')])
 def test_samples_that_are_lost_are_not_taken_for_the_plant(lost):
     """Three in ten, or 5 to 24 at a time: responses were 10 % too large, 2.7 deviations off."""
