@@ -81,7 +81,7 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
         for signal in unramped(record.inputs, record.commands):
             rests = resting_times(signal, record) if same_instant else [0.0] * signal.width
             kinds = [_answers(signal, record, before),
-                     *([] if same_instant else [_in_means(signal, record)])]
+                     *([] if model.D.any() else [_in_means(signal, record)])]
             for rest, *answers in zip(rests, *kinds, strict=True):
                 if rest <= MOVING * signal.period:
                     row[j] = min((_distance(one, model, j, excited[j])
@@ -196,8 +196,7 @@ def _answers(signal: Signal, record: Record, at_once: bool) -> list[_Answer | No
 
 def _in_means(signal: Signal, record: Record) -> list[_Answer | None]:
     """Return what means of outputs before it add to each change of a channel, if they tell."""
-    # Strictly before it: what follows the inputs at once tells of them.
-    outputs, changes, _ = outputs_before(signal, record, True)
+    outputs, changes, _ = outputs_before(signal, record, False)
     past, ny = past_of(outputs), outputs.shape[1]
     if past < NEWEST:
         return [None] * signal.width
