@@ -13,6 +13,7 @@ from types import FrameType
 _AGAIN = 0.02  # s until it is looked again whether modules still load
 _PAUSE = 1.0  # s in which a further one, as of a key that is held, does not break off the ending
 _LOADER = '<frozen importlib._bootstrap>'
+_SIGNALS = [getattr(signal, name) for name in ('SIGALRM', 'SIGINT') if hasattr(signal, name)]
 _deaf_until = 0.0  # of the clock `monotonic`
 
 
@@ -29,12 +30,23 @@ def interruptible() -> Iterator[None]:
         yield
         return
     _handle(_interrupt)
-    unraisable, sys.unraisablehook = sys.unraisablehook, _again
+    before = sys.unraisablehook
+
+    def again(swallowed: sys.UnraisableHookArgs) -> None:
+        """Interrupt again, where Python drops objects and prints and forgets what that raises."""
+        global _deaf_until
+        if not issubclass(swallowed.exc_type, KeyboardInterrupt):
+            before(swallowed)
+            return
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        _deaf_until = 0.0
+
+    sys.unraisablehook = again
     try:
         yield
     finally:
         _handle(signal.SIG_IGN)  # Python ends: nothing catches it any more
-        sys.unraisablehook = unraisable
+        sys.unraisablehook = before
 
 
 @contextmanager
@@ -44,8 +56,8 @@ def deferred() -> Iterator[Callable[[], None]]:
 
     For loops around compiled code and its callbacks, out of which an exception may not come.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if before == signal.SIG_IGN:
+    before = [signal.getsignal(number) for number in _SIGNALS]
+    if signal.SIG_IGN in before:
         yield lambda: None
         return
     came: list[int] = []
@@ -54,15 +66,16 @@ def deferred() -> Iterator[Callable[[], None]]:
         if came:
             raise KeyboardInterrupt
 
-    signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    _handle(lambda number, frame: came.append(number))
     try:
         yield check
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in zip(_SIGNALS, before, strict=True):
+            signal.signal(number, handler)
 
 
 def _handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
-    for number in (signal.SIGALRM, signal.SIGINT):
+    for number in _SIGNALS:
         signal.signal(number, handler)
 
 
@@ -73,16 +86,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     elif monotonic() > _deaf_until:
         _deaf_until = monotonic() + _PAUSE
         raise KeyboardInterrupt
-
-
-def _again(swallowed: sys.UnraisableHookArgs) -> None:
-    """Interrupt again, where Python drops objects and prints and forgets what that raises."""
-    global _deaf_until
-    if not issubclass(swallowed.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(swallowed)
-        return
-    _deaf_until = 0.0
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
 
 
 def _loading(frame: FrameType | None) -> bool:

@@ -320,6 +320,25 @@ def test_a_limit_that_may_be_any_smaller_one_is_not_known():
     assert found.choices[-1].deviation > 0.1
 
 
+@pytest.mark.parametrize(('levels', 'limit'), [
+    ((1.0, 1.2, 1.6), 0.7), *slow(((0.8, 1.0, 1.5), 0.5))])
+def test_a_limit_behind_a_dead_zone_may_be_below_every_command(levels, limit):
+    rng, duration = np.random.default_rng(1), 40.0
+    t_u = np.cumsum(np.append(0.5, rng.uniform(0.3, 1.2, 66)))
+    t_u = t_u[t_u < duration]
+    u = rng.choice(levels, len(t_u)) * rng.choice((-1.0, 1.0), len(t_u))
+    t, t_y = np.arange(0.0, duration, FINE), np.arange(0.0, duration, 0.02)
+    sent = np.append(0.0, u)[np.searchsorted(t_u, t, side='right')]
+    acts = np.sign(sent) * np.clip(np.abs(sent) - 0.4, 0.0, limit)
+    y = noisy(rng, held_response(PLANT, t, acts[:, np.newaxis], t_y), 30.0)
+    stamps = np.union1d(np.arange(0.0, duration, 0.05), t_u)
+    held = np.append(0.0, u)[np.searchsorted(t_u, stamps, side='right')]
+    found = identify(Record.from_arrays(stamps, held, t_y, y, input_hold='zoh'),
+                     Settings(dead_zone=0.4))
+    assert found.good, found.verdict.reason
+    assert found.model.actuators[0].limit == pytest.approx(limit, rel=0.03)
+
+
 @pytest.mark.parametrize(('family', 'seed', 'number', 'limit'), [
     ('saturation-60', 303, 3, 0.898), *slow(('gain-drift', 15, 1, 0.956))])
 def test_what_a_drift_explains_as_well_is_a_doubt(family, seed, number, limit):

@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import butter, filtfilt
 
 from ctsid_core import Grade, Record, Settings, StateSpace, identify
+from ctsid_core.judge import feedback
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import Excitation
@@ -85,6 +86,25 @@ def test_a_plant_under_such_a_controller_is_good_if_the_set_point_moves(seed):
     true = 600.0 / ((1j * omega + 20.0) * (1j * omega + 2.0))
     response = found.model.frequency_response(omega)[:, 0, 0]
     np.testing.assert_allclose(response / true, 1.0, atol=0.1)
+
+
+def test_an_input_that_is_louder_at_first_hears_nothing():
+    """What its own past leaves was taken of more samples than what outputs leave beside it."""
+    heard = 0
+    for seed in range(50):
+        rng, t = np.random.default_rng(seed), 0.01 * np.arange(66)
+        u = np.cumsum(np.append(0.0, np.repeat((3.0, 1.0), (18, 47)) * rng.standard_normal(65)))
+        record = Record.from_arrays(t, u, t, np.cumsum(rng.standard_normal(66)), input_hold='zoh')
+        heard += feedback._in_means(record.inputs[0], record)[0] is not None
+    assert heard <= 2
+
+
+def test_what_is_foretold_is_no_controllers_noise():
+    """Of a sum of sines outputs tell more than its own past, and the past of a good model's."""
+    robots = pytest.importorskip('ctsid_ros.studies.robots.families')
+    given = robots.experiment('eight-bit', 60, 3)
+    found = identify(given.record, Settings())
+    assert found.good, found.verdict.reason
 
 
 def rates(seed: int, late: float, outputs: float, gust: float = 20.0,

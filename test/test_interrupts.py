@@ -178,3 +178,31 @@ def test_who_ignores_ctrl_c_is_obeyed(tmp_path):
     ran.send_signal(signal.SIGINT)
     out, _ = ran.communicate(timeout=PATIENCE)
     assert (ran.returncode, out.count('ros__parameters')) == (0, 1)
+
+
+def test_ctrl_c_that_comes_again_waits_where_it_may_not_come(tmp_path):
+    """Until compiled code is left, that an exception may not leave."""
+    program = """
+import signal, time, weakref
+from ctsid_ros.interrupts import deferred, interruptible
+
+class Dropped:
+    pass
+
+with interruptible():
+    one = Dropped()
+    noticed = weakref.ref(one, lambda _: signal.raise_signal(signal.SIGINT))
+    del one
+    with deferred() as check:
+        begin = time.monotonic()
+        while time.monotonic() < begin + 0.2:
+            pass
+        try:
+            check()
+        except KeyboardInterrupt:
+            print('interrupted')
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', program], cwd=tmp_path, text=True, check=False,
+        env=os.environ | {'PYTHONPATH': str(ROOT)}, capture_output=True, timeout=PATIENCE)
+    assert (done.returncode, done.stdout) == (0, 'interrupted\n')

@@ -601,20 +601,18 @@ def test_poles_that_move_are_no_reason_where_the_previous_model_simulates_what_i
         assert ('moved by 4 standard deviations' in verdict.reason) == (grade is Grade.WEAK)
 
 
-def test_few_independent_errors_vary_by_chance():
-    """A gust of a second that has been there before is no change of the plant; more noise is."""
-    rng, times = np.random.default_rng(0), np.arange(0.0, 10.0, 0.01)
-    gusts = np.zeros(1000)
+def test_new_data_are_compared_with_the_worst_stretch_as_long_before_them():
+    """A gust of 2 s that has been there before is no change of the plant."""
+    times, gusts = np.arange(0.0, 10.0, 0.01), np.zeros(1000)
     gusts[300:420] = gusts[850:950] = 1.0
-    new = times > 8.0
-    for errors, by_chance in ((gusts, True), (np.where(new, 1.9, 1.0) * rng.standard_normal(1000),
-                                              False)):
-        y = np.sin(times)[:, np.newaxis]
-        found = Validation(times=times, y=y + errors[:, np.newaxis] + 0.01, y_hat=y,
-                           fit=np.empty(0), vaf=np.empty(0), x0=np.empty(0))
-        ratio = tracking._errors(found, new) / tracking._errors(found, ~new)
-        assert ratio == pytest.approx(1.7, abs=0.2)
-        assert (ratio < tracking._by_chance(found, new, ~new)) == by_chance
+    y = np.sin(times)[:, np.newaxis]
+    found = Validation(times=times, y=y + gusts[:, np.newaxis] + 0.01, y_hat=y, fit=np.empty(0),
+                       vaf=np.empty(0), x0=np.empty(0))
+    record = Record.from_arrays(times, y, times, y)
+    new, before = (tracking._errors(found, times > 8.0),
+                   tracking._of_worst_stretch(found, 8.0, record))
+    assert new / before == pytest.approx(1.0, abs=0.2)
+    assert new / tracking._errors(found, times <= 8.0) > 1.7
 
 
 def test_offsets_of_windows_apart_are_their_own():

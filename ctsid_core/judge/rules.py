@@ -456,13 +456,11 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
 
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
                 before: tuple[int, ...] = (),
-                silent: tuple[tuple[str, float], ...] = (),
-                chance: Array | float = 1.0) -> Estimate:
+                silent: tuple[tuple[str, float], ...] = ()) -> Estimate:
     """
     Return an estimate whose verdict takes the previous model, and what is new, into account.
 
-    Fresh fit and ratio, (ny,), are those of that model on the data that are new, NaN if not known,
-    and `chance` is the ratio that they may have by chance;
+    Fresh fit and ratio, (ny,), are those of that model on the data that are new, NaN if not known;
     `before` has its order, and that of the last GOOD model; neither if there was none, or if the
     order is set. `moved`: see `Verdict`. `silent`: channels that end long before the window, and
     by how much [s].
@@ -471,9 +469,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     model = estimate.model
     if model is None:
         return replace(estimate, verdict=verdict)
-    most = np.fmax(chance, _FRESH_RATIO)
-    reasons = [*_silences(silent),
-               *_collapses(model.output_names, fresh_fit, fresh_ratio, most),
+    reasons = [*_silences(silent), *_collapses(model.output_names, fresh_fit, fresh_ratio),
                *_moves(model.n, before, moved, fresh_ratio)]
     untested = verdict.grade is Grade.WEAK and verdict.remedy is Remedy.TEST
     if untested and (reasons or _well(fresh_fit, fresh_ratio)):
@@ -500,9 +496,8 @@ def _well(fit: Array, ratio: Array) -> bool:
     return bool(known.any() and well[known].all())
 
 
-def _collapses(names: tuple[str, ...], fit: Array, ratio: Array,
-               most: Array) -> Iterator[tuple[Remedy, str]]:
-    collapsed = np.where(np.isfinite(ratio), (ratio > most) & (fit < _FRESH_FIT),
+def _collapses(names: tuple[str, ...], fit: Array, ratio: Array) -> Iterator[tuple[Remedy, str]]:
+    collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH_RATIO) & (fit < _FRESH_FIT),
                          fit < EXPLAINED)
     for i in np.flatnonzero(collapsed):
         yield Remedy.WAIT, (

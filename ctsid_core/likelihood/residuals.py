@@ -54,7 +54,7 @@ def independent(errors: Residuals) -> Array:
     and N / (1/2 + sum_k rho_k^2), up to half the record: of errors of a narrow band, a vibration
     or waves, the autocorrelation soon changes its sign, and its sum is small, but it lasts.
     """
-    return np.array([sum(map(len, parts)) / correlation(parts) for parts in by_output(errors)])
+    return np.array([sum(map(len, parts)) / _correlation(parts) for parts in by_output(errors)])
 
 
 def autoregression(error: Array) -> tuple[float, Array]:
@@ -79,7 +79,7 @@ def autoregression(error: Array) -> tuple[float, Array]:
     return best
 
 
-def correlation(parts: list[Array]) -> float:
+def _correlation(parts: list[Array]) -> float:
     """Return for how many samples of a sequence in parts there is one that is independent."""
     longest = max(len(e) for e in parts)
     total = np.zeros(longest)

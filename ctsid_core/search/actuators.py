@@ -295,7 +295,7 @@ def _next(commands: Commands, screen: Commands, acting: Acting,
         if getattr(acting[channels[0]], kind):
             continue
         near = []
-        for value in screen.values(channels[0], kind):
+        for value in screen.values(channels[0], kind, acting[channels[0]]):
             other = with_number(acting, channels, kind, value)
             if (one := screen.climbed(other, starts)) is not None:
                 near.append((one.cost, other, one, (channels, kind)))
@@ -326,7 +326,7 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
             one = commands.at(commands.acting(with_number(acting, channels, kind, value)),
                               (near.model.poles, near.model.delay), near)
             return np.inf if one is None else one.cost
-        least, most = commands.bounds(channels[0], kind)
+        least, most = commands.bounds(channels[0], kind, acting[channels[0]])
         best = minimize_scalar(
             cost, method='bounded', options={'xatol': _CLOSELY * value}, bounds=(
                 max(value / _NEAR, min(value, least)), min(value * _NEAR, max(value, most))))

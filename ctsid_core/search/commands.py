@@ -85,8 +85,8 @@ class Commands:
             best = other if best is None or other.cost < best.cost else best
         return None if best is None else tried(samples, best, self.free)
 
-    def values(self, channel: int, kind: str) -> list[float]:
-        """Return numbers to begin with."""
+    def values(self, channel: int, kind: str, beside: Actuator) -> list[float]:
+        """Return numbers to begin with, beside what acts of the channel already."""
         inputs = [(r.inputs[channel], r.inputs[channel].values[:, 0] + level[channel])
                   for r, level in zip(self.samples.records, self.levels, strict=True)]
         u = np.concatenate([u for _, u in inputs])
@@ -98,14 +98,15 @@ class Commands:
             size = 1.0 if kind == 'timeout' else float(
                 np.ptp(u) if kind == 'backlash' else np.max(np.abs(u)))
             values = [share * size for share in _VALUES[kind]]
-        least, most = self.bounds(channel, kind)
+        least, most = self.bounds(channel, kind, beside)
         return sorted({max(value, least) for value in values if max(value, least) < most})
 
-    def bounds(self, channel: int, kind: str) -> tuple[float, float]:
+    def bounds(self, channel: int, kind: str, beside: Actuator) -> tuple[float, float]:
         """Return the numbers beyond which all are alike: a limit of every command, and of none."""
+        # Behind a dead zone commands are smaller; before play and rates no two limits are alike.
         if kind == 'timeout':
             return 0.0, LONGEST_DELAY
-        if kind != 'limit':
+        if kind != 'limit' or beside.dead_zone or beside.backlash or beside.rate_limit:
             return 0.0, LARGEST_INPUT
         sizes = np.abs(np.concatenate([
             r.inputs[channel].values[:, 0] + level[channel]

@@ -13,15 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.special import fdtri
 
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.identify import identify
 from ctsid_core.judge.rules import in_sequence, rejected_over_change
-from ctsid_core.likelihood.residuals import correlation
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
@@ -33,7 +32,6 @@ from ctsid_core.signals.gaps import silent_at_end
 from ctsid_core.signals.record import Record
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
-_BY_CHANCE = 1e-3     # probability of what is more than chance
 EDGE = 1 / 40         # part of a window: half of the steps in which the time of a change is found
 _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
@@ -122,7 +120,7 @@ class Tracker:
             estimate = self._reject_straddling(estimate)
         known = past.model is not None and not settings.order
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
-                               past.orders if known else (), silent_at_end(record), test.chance)
+                               past.orders if known else (), silent_at_end(record))
         model = estimate.model
         if model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
@@ -255,7 +253,6 @@ class _Test:
 
     fit: Array
     ratio: Array
-    chance: Array       # the ratio that may be by chance, of so few independent errors
     start_ns: int = 0
     end_ns: int = 0
 
@@ -263,7 +260,7 @@ class _Test:
 def _fresh(past: _Past, record: Record) -> _Test:
     """Test the last model on the part of a record that is later than its own window."""
     start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
-    none = _Test(*np.full((3, record.ny), np.nan))
+    none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
     if past.model is None or past.end_ns >= end_ns:
         return none
     # Where few older data are left in this window, the model's own window tells; and offsets of a
@@ -277,7 +274,7 @@ def _fresh(past: _Past, record: Record) -> _Test:
     seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
     new = found.times > seen
     error = _errors(found, new)
-    before = past.error if apart else _errors(found, ~new)
+    before = past.error if apart else _of_worst_stretch(found, seen, record)
     spread = np.array([np.std(y[~np.isnan(y)]) if np.isfinite(y).any() else 0.0
                        for y in found.y.T])
     fit = 100.0 * (1.0 - error / np.where(spread > 0.0, spread, np.nan))
@@ -285,20 +282,17 @@ def _fresh(past: _Past, record: Record) -> _Test:
         return none
     error = _errors(compared, new)
     ratio = np.where(error > 0.0, error, np.nan) / np.where(before > 0.0, before, np.nan)
-    return _Test(fit, ratio, _by_chance(compared, new, new if apart else ~new),
-                 max(start_ns, past.end_ns), end_ns)
+    return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _by_chance(found: Validation, new: Mask, older: Mask) -> Array:
-    """Return how much larger than older errors new ones of each output may be by chance, (ny,)."""
-    # What disturbs a plant lasts: of few independent errors the mean square varies.
-    ratios = []
-    for error in (found.y - found.y_hat).T:
-        known = np.isfinite(error)
-        each = correlation([error[older & known]]) if np.any(older & known) else 1.0
-        counts = (max(np.count_nonzero(rows & known) / each, 1.0) for rows in (new, older))
-        ratios.append(float(np.sqrt(fdtri(*counts, 1.0 - _BY_CHANCE))))
-    return np.array(ratios)
+def _of_worst_stretch(found: Validation, end: float, record: Record) -> Array:
+    """Return the rms error of each output on that stretch before `end` [s] where it is largest."""
+    # Stretches are as long as the rest of the record: what disturbs a plant varies from one to the
+    # next.
+    worst = _errors(found, found.times <= end)
+    for b, a in pairwise(np.arange(end, record.start, end - record.end).tolist()):
+        worst = np.fmax(worst, _errors(found, (found.times > a) & (found.times <= b)))
+    return worst
 
 
 def _errors(found: Validation, rows: Mask) -> Array:

@@ -77,10 +77,10 @@ def heard(changes: Array, seen: Array, past: int) -> tuple[Array, Array] | None:
     most = _USUAL * float(np.median(np.abs(changes)))
     if not most:                # it mostly rests
         return None
-    own = np.clip(changes, -most, most)
-    count = min(len(own) - past, len(seen))
-    before = np.hstack((sliding_window_view(own, past)[:-1][-count:], seen[-count:]))
-    (weights,), (left,) = _regressed(before, own[np.newaxis, -count:])
+    count = min(len(changes) - past, len(seen))
+    own = np.clip(changes, -most, most)[-count - past:]
+    before = np.hstack((sliding_window_view(own, past)[:-1], seen[-count:]))
+    (weights,), (left,) = _regressed(before, own[np.newaxis, past:])
     least = SMOOTH * float(np.mean(own ** 2))
     gain = count * np.log((left_alone(own, past) + least) / (left + least))
     tells = gain > _HEARS * np.sqrt(2.0 * seen.shape[1])
