@@ -28,7 +28,7 @@ of Mathematical Statistics 35.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -358,8 +358,8 @@ def _judge(channel: _Channel, x: Array, run: slice, good: Mask, local: Array,
         return None
     side = np.concatenate((before[:_SIDE][::-1], after[:_SIDE]))
     scale = float(np.max(local[run]))
-    degrees = _DEGREES[:1 if white else None]
-    curve, spread = min(_curves(channel.time, x, side, run, degrees, scale),
+    curve, spread = min((_curve(channel.time, x, side, run, degree, scale)
+                         for degree in _DEGREES[:1 if white else None]),
                         key=lambda pair: float(np.max(pair[1])))
     far = np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)
     # One side does not tell what is no motion: more, as of a step, or what moves so elsewhere.
@@ -375,18 +375,13 @@ def _judge(channel: _Channel, x: Array, run: slice, good: Mask, local: Array,
     return float(np.max(spread)), run, far, without[run]
 
 
-def _curves(t: Array, x: Array, side: Places, run: slice, degrees: tuple[int, ...],
-            least: float) -> Iterator[tuple[Array, Array]]:
-    """Yield curves through good samples at those of a run, and the deviations from them."""
-    # By polynomials that are orthonormal on the good samples: the first ones are of each degree.
+def _curve(t: Array, x: Array, side: Places, run: slice, degree: int,
+           least: float) -> tuple[Array, Array]:
+    """Return the curve through good samples at those of a run, and the deviation from it."""
     centre, width = 0.5 * (t[side[0]] + t[side[-1]]), 0.5 * (t[side[-1]] - t[side[0]])
-    columns, own = (np.vander((t[k] - centre) / width, max(degrees) + 1, increasing=True)
-                    for k in (side, run))
-    basis, triangle = np.linalg.qr(columns)
-    # Pseudo-inverse: stamps that jump by years tell of hardly any degree.
-    told, own = basis.T @ x[side], own @ np.linalg.pinv(triangle)
-    for count in (degree + 1 for degree in degrees):
-        rest = x[side] - basis[:, :count] @ told[:count]
-        spread = max(float(np.sqrt(rest @ rest / max(len(side) - count, 1))), least)
-        yield (own[:, :count] @ told[:count],
-               spread * np.sqrt(1.0 + np.sum(own[:, :count] ** 2, axis=1)))
+    columns, own = (np.vander((t[k] - centre) / width, degree + 1) for k in (side, run))
+    inverse = np.linalg.pinv(columns)
+    found = inverse @ x[side]
+    rest = x[side] - columns @ found
+    spread = max(float(np.sqrt(rest @ rest / max(len(side) - degree - 1, 1))), least)
+    return own @ found, spread * np.sqrt(1.0 + np.sum((own @ inverse) ** 2, axis=1))
