@@ -10,7 +10,7 @@ import sys
 from time import monotonic
 from types import FrameType
 
-_AGAIN = 0.02  # s until it is looked again whether modules still load
+_AGAIN = 0.02  # s until it comes again: while modules load, or where Python swallowed it
 _PAUSE = 1.0  # s in which a further one, as of a key that is held, does not break off the ending
 _LOADER = '<frozen importlib._bootstrap>'
 _SIGNALS = [getattr(signal, name) for name in ('SIGALRM', 'SIGINT') if hasattr(signal, name)]

@@ -100,7 +100,7 @@ def test_an_input_that_is_louder_at_first_hears_nothing():
 
 
 def test_what_is_foretold_is_no_controllers_noise():
-    """Of a sum of sines outputs tell more than its own past, and the past of a good model's."""
+    """A sum of sines: outputs tell more of it than its own past does, and all but none is news."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
     given = robots.experiment('eight-bit', 60, 3)
     found = identify(given.record, Settings())

@@ -87,11 +87,11 @@ class Commands:
 
     def values(self, channel: int, kind: str, beside: Actuator) -> list[float]:
         """Return numbers to begin with, beside what acts of the channel already."""
-        inputs = [(r.inputs[channel], r.inputs[channel].values[:, 0] + level[channel])
-                  for r, level in zip(self.samples.records, self.levels, strict=True)]
-        u = np.concatenate([u for _, u in inputs])
+        sent = self._sent(channel)
+        u = np.concatenate(sent)
         if kind == 'rate_limit':
-            steps = [np.max(np.abs(np.diff(u)), initial=0.0) / s.period for s, u in inputs]
+            steps = [np.max(np.abs(np.diff(u)), initial=0.0) / r.inputs[channel].period
+                     for r, u in zip(self.samples.records, sent, strict=True)]
             slow = _SLOWEST * float(np.std(u)) / self.samples.length
             values = np.geomspace(slow, max(_FASTEST * max(steps), slow), _RATES).tolist()
         else:
@@ -108,11 +108,13 @@ class Commands:
             return 0.0, LONGEST_DELAY
         if kind != 'limit' or beside.dead_zone or beside.backlash or beside.rate_limit:
             return 0.0, LARGEST_INPUT
-        sizes = np.abs(np.concatenate([
-            r.inputs[channel].values[:, 0] + level[channel]
-            for r, level in zip(self.samples.records, self.levels, strict=True)]))
+        sizes = np.abs(np.concatenate(self._sent(channel)))
         largest = float(min(np.max(sizes), LARGEST_INPUT))
         return float(np.min(sizes, where=sizes > _NONE * largest, initial=largest)), largest
+
+    def _sent(self, channel: int) -> list[Array]:
+        return [r.inputs[channel].values[:, 0] + level[channel]
+                for r, level in zip(self.samples.records, self.levels, strict=True)]
 
     def silent(self, channel: int) -> bool:
         """Return whether an input that is held is silent, and not at rest."""

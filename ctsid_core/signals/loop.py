@@ -71,8 +71,8 @@ def heard(changes: Array, seen: Array, past: int) -> tuple[Array, Array] | None:
     """
     Return how changes (N,) depend on so many before and on what is `seen`, if that tells.
 
-    Of each row of `seen` (N or fewer, k), the last of the last change. Weights (past,), the latest
-    first, and (k,).
+    The last row of `seen` (M, k) is of the last change. Weights (past,), the latest first, and
+    (k,).
     """
     most = _USUAL * float(np.median(np.abs(changes)))
     if not most:                # it mostly rests
