@@ -63,7 +63,7 @@ def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, se
 
 
 @pytest.mark.parametrize(('gust', 'pole', 'seed'), [
-    (2.0, -2.0, 4), *slow((0.5, 1.0, 1), (1.0, -2.0, 3), (2.0, -2.0, 5), (4.0, -2.0, 6))])
+    (2.0, -2.0, 4), (2.0, -2.0, 5), *slow((0.5, 1.0, 1), (1.0, -2.0, 3), (4.0, -2.0, 6))])
 @pytest.mark.parametrize('feedthrough', [False, *slow(True)])
 def test_a_controller_with_a_sensor_of_its_own_is_no_plant(feedthrough, gust, pole, seed):
     """
