@@ -302,7 +302,7 @@ def test_models_that_were_foretold_do_not_outvote_the_second_method():
         GOOD, grade=Grade.WEAK, reason='Not tested.', remedy=Remedy.TEST))
     fit, ratio = np.array([95.0]), np.array([1.0])
     for factor, grade in ((1.0, Grade.GOOD), (2.0, Grade.WEAK)):
-        found = in_sequence(checked(untested, first_order(factor)), fit, ratio, 0.1, (1,))
+        found = in_sequence(checked(untested, first_order(factor)), fit, ratio, np.array([0.05]))
         assert found.verdict.grade is grade
         assert ('gobf' in found.verdict.reason) == (factor == 2.0)
 

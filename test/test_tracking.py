@@ -8,7 +8,7 @@ import pickle
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, Plant, flown, plant, running
+from plants import PLANTS, Plant, flown, held_response, plant, running
 import pytest
 from scipy.linalg import expm
 
@@ -17,7 +17,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.identify import identify
 from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import Validation, simulation
+from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import EXPLAINED, Grade, Verdict
 from ctsid_core.sequence import tracking
 from ctsid_core.sequence.alignment import aligning
@@ -91,7 +91,7 @@ def test_estimates_are_those_of_identify_in_other_states(alone, tracked):
             if f.name not in ('model', 'pole_std', 'verdict', 'covariance'):
                 assert same_value(getattr(found.estimate, f.name), getattr(plain, f.name)), f.name
         for f in fields(Verdict):
-            if f.name not in ('fresh_ratio', 'moved'):
+            if f.name not in ('fresh_ratio', 'apart'):
                 assert same_value(getattr(found.estimate.verdict, f.name),
                                   getattr(plain.verdict, f.name)), f.name
         again = plain.model.transform(aligning(plain.model, tracked[0].estimate.model))
@@ -246,15 +246,6 @@ def test_faults_of_samples_are_the_reason_and_no_change_of_the_plant():
     assert 'earlier window' not in found.verdict.reason
     found = tracker.take(replace(whole.between(15.0, 23.0), faults=(fault,))).estimate
     assert (found.verdict.grade, found.verdict.reason) == (Grade.WEAK, fault)
-
-
-def test_an_order_that_was_set_meanwhile_is_no_reason(steady):
-    tracker = Tracker(Settings(order=1))
-    before = tracker.take(steady[0]).estimate
-    tracker.settings = Settings(order=2)
-    found = tracker.take(steady[1]).estimate
-    assert 'order has changed' not in found.verdict.reason
-    assert before.model is None or before.model.n != found.model.n
 
 
 @pytest.mark.slow
@@ -427,25 +418,30 @@ def test_of_several_models_all_have_to_say_so():
     np.testing.assert_array_equal(one.inputs[0].values, record.inputs[0].values)
 
 
-def test_an_order_of_the_last_good_model_is_no_change(steady):
-    """Of 2, GOOD, 3, WEAK for its order, and 2 again the last one is as good as the first."""
-    good = identify(steady[0], Settings(order=2))
-    other = identify(steady[0], Settings(order=3))
-    weak = replace(other, verdict=replace(other.verdict, grade=Grade.WEAK))
-    past = tracking._Past()
-    for estimate in (good, weak):
-        assert estimate.model is not None
-        _, past = tracking._following(past, estimate, estimate.model, 1.0)
+@pytest.mark.parametrize(('apart', 'grade'), [(0.09, 'GOOD'), (0.12, 'WEAK'), (np.inf, 'WEAK'),
+                                              (np.nan, 'GOOD')])
+def test_successive_models_that_simulate_a_window_apart_are_not_good(steady, apart, grade):
+    good = identify(steady[0], SETTINGS)
     assert good.good
-    assert past.orders == (3, 2)
-    for order, grade in ((2, Grade.GOOD), (3, Grade.GOOD), (4, Grade.WEAK)):
-        found = identify(steady[0], Settings(order=order))
-        given = replace(found, verdict=replace(found.verdict, grade=Grade.GOOD))
-        assert tracking.in_sequence(given, np.array([99.0]), np.array([np.nan]), 0.1,
-                                    past.orders).verdict.grade is grade
-        # Of any order, if the last model simulates what is new as well as what it was made of
-        assert tracking.in_sequence(given, np.array([80.0]), np.array([1.0]), 0.1,
-                                    past.orders).verdict.grade is Grade.GOOD
+    found = tracking.in_sequence(good, np.array([99.0]), np.array([1.0]), np.array([apart]))
+    assert found.verdict.grade.name == grade
+    assert ('of its motion apart' in found.verdict.reason) == (grade == 'WEAK')
+    np.testing.assert_array_equal(found.verdict.apart, [apart])
+
+
+def test_how_far_apart_models_are_is_what_a_user_simulates(steady):
+    """A gain of 0.8 on the motion that is not free: offsets and states are fitted."""
+    good = identify(steady[0], SETTINGS)
+    weaker = replace(good.model, B=0.8 * good.model.B)
+    apart = tracking._apart(tracking._Past(model=weaker), good, steady[0])
+    y = steady[0].outputs[0].values[steady[0].outputs[0].rows(steady[0].start, steady[0].end)]
+    one, other = (simulation(m, steady[0], trim='refit').y_hat for m in (good.model, weaker))
+    assert apart[0] == pytest.approx(np.sqrt(np.mean((one - other) ** 2)) / y.std(), rel=1e-9)
+    assert 0.1 < apart[0] < 0.25
+    # In other states, and with a mode that nothing sees, it is the same model.
+    same = replace(good.model.transform([[2.0, 1.0], [0.0, 3.0]]), output_names=('y',))
+    assert tracking._apart(tracking._Past(model=same), good, steady[0])[0] < 1e-8
+    assert np.isnan(tracking._apart(tracking._Past(), good, steady[0])).all()
 
 
 def late_lag(delay: float, duration: float) -> Record:
@@ -587,32 +583,32 @@ def test_what_nothing_was_held_out_of_is_good_if_all_new_outputs_are_simulated_w
     """An output may be too seldom sampled to tell."""
     found = identify(steady[0], SETTINGS.replace(held_out=0.0))
     assert 'not been tested' in found.verdict.reason
-    verdict = tracking.in_sequence(found, np.array(fit), np.array(ratio), 0.1).verdict
+    verdict = tracking.in_sequence(found, np.array(fit), np.array(ratio), np.full(2, 0.05)).verdict
     assert verdict.grade.name == grade
     assert ('not been tested' in verdict.reason) == (grade == 'WEAK')
 
 
-def test_poles_that_move_are_no_reason_where_the_previous_model_simulates_what_is_new(steady):
-    good = identify(steady[0], SETTINGS)
-    assert good.good
-    for ratio, grade in ((np.nan, Grade.WEAK), (1.1, Grade.GOOD)):
-        verdict = tracking.in_sequence(good, np.array([85.0]), np.array([ratio]), 4.0).verdict
-        assert verdict.grade is grade
-        assert ('moved by 4 standard deviations' in verdict.reason) == (grade is Grade.WEAK)
-
-
-def test_new_data_are_compared_with_the_worst_stretch_as_long_before_them():
-    """A gust of 2 s that has been there before is no change of the plant."""
-    times, gusts = np.arange(0.0, 10.0, 0.01), np.zeros(1000)
-    gusts[300:420] = gusts[850:950] = 1.0
-    y = np.sin(times)[:, np.newaxis]
-    found = Validation(times=times, y=y + gusts[:, np.newaxis] + 0.01, y_hat=y, fit=np.empty(0),
-                       vaf=np.empty(0), x0=np.empty(0))
-    record = Record.from_arrays(times, y, times, y)
-    new, before = (tracking._errors(found, times > 8.0),
-                   tracking._of_worst_stretch(found, 8.0, record))
-    assert new / before == pytest.approx(1.0, abs=0.2)
-    assert new / tracking._errors(found, times <= 8.0) > 1.7
+@pytest.mark.parametrize(('what', 'ratio'), [
+    ('nothing', 1.0), ('offset', 1.0), ('push', 1.0), ('gain', 9.0), ('gust', 4.9),
+    ('gust again', 1.0)])
+def test_new_data_are_compared_with_stretches_as_long_before_them(what, ratio):
+    """What a state and offsets of its own explain is no change, nor a gust as large as before."""
+    rng = np.random.default_rng(0)
+    times, t_u = np.arange(0.0, 12.0, 0.01), np.arange(0.0, 12.0, 0.02)
+    u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)[:, np.newaxis]
+    lag = plant([[-2.0]], [[2.0]], [[1.0]])
+    new, load = times > 10.0, 0.3 * ((times >= 11.0) | (what == 'gust again') & (
+        (times >= 7.0) & (times < 8.0)))
+    y = held_response(lag, t_u, u, times)[:, 0]
+    y *= np.where(new & (what == 'gain'), 1.5, 1.0)
+    y += 0.3 * (new & (what == 'offset')) + load * (what in ('gust', 'gust again'))
+    y += np.where(new & (what == 'push'), np.exp(-2.0 * (times - 10.0)), 0.0)
+    y += 0.02 * rng.standard_normal(len(times))
+    record = Record.from_arrays(t_u, u, times, y[:, np.newaxis], input_hold='zoh')
+    past = tracking._Past(model=StateSpace(lag.A, lag.B, lag.C), end_ns=10 * S)
+    test = tracking._fresh(past, record.between(0.1, 12.0))
+    assert (test.fit[0] > 95.0) == (what == 'nothing')
+    assert test.ratio[0] == pytest.approx(ratio, rel=0.35)
 
 
 def test_offsets_of_windows_apart_are_their_own():
@@ -655,6 +651,7 @@ def test_what_a_model_leaves_is_what_it_leaves_of_what_it_has_not_seen(steady):
 def test_an_uncertain_pole_is_told_where_new_data_lift_a_verdict(steady):
     found = identify(steady[0], SETTINGS.replace(held_out=0.0))
     unsure = replace(found, verdict=replace(found.verdict, pole_uncertainty=1.6))
-    verdict = tracking.in_sequence(unsure, np.array([98.0]), np.array([1.0]), 0.1).verdict
+    numbers = (np.array([number]) for number in (98.0, 1.0, 0.05))
+    verdict = tracking.in_sequence(unsure, *numbers).verdict
     assert verdict.grade is Grade.GOOD
     assert verdict.reason.endswith('of its size: do not use that pole by itself.')

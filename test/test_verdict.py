@@ -598,17 +598,6 @@ def test_windows_over_a_change_are_not_good(seed, stride):
             assert k == 0 or found.verdict.fresh_ratio[0] < 1.5
 
 
-@pytest.mark.slow
-def test_the_agreement_is_of_both_models():
-    whole = changing(0, 1.0, 99.0)
-    tracker = Tracker(Settings(order=2))
-    first, second = (tracker.take(whole.between(k, k + 10.0)).estimate for k in (0.0, 1.0))
-    assert np.isnan(first.verdict.moved)
-    away = np.abs(second.model.poles - first.model.poles)
-    both = np.hypot(first.pole_std, second.pole_std)
-    assert second.verdict.moved == pytest.approx(np.max(away / both), rel=1e-6)
-
-
 # What is not linear.
 
 

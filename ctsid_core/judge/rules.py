@@ -46,9 +46,9 @@ _UNEXPLAINED = 0.8      # error that is not white noise, over the motion: no mod
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model
 _DRIFTED = 15.0         # per cent of the motion that the mean of a plant that drifts misses
 _CHANGED = 3.0          # per cent of the motion that one model misses, and two do not
-_FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
+_FRESH_RATIO = 2.0      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
-_MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
+_APART = 0.1            # of the motion, by which models of successive windows differ
 
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
 _GUESSED = (Remedy.EXCITE, Remedy.SIGNALS)
@@ -454,23 +454,21 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
             reason=f'{words.capitalize()}; wait until the change has left the window.'))
 
 
-def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
-                before: tuple[int, ...] = (),
+def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, apart: Array,
                 silent: tuple[tuple[str, float], ...] = ()) -> Estimate:
     """
     Return an estimate whose verdict takes the previous model, and what is new, into account.
 
     Fresh fit and ratio, (ny,), are those of that model on the data that are new, NaN if not known;
-    `before` has its order, and that of the last GOOD model; neither if there was none, or if the
-    order is set. `moved`: see `Verdict`. `silent`: channels that end long before the window, and
-    by how much [s].
+    `apart`: see `Verdict`. `silent`: channels that end long before the window, and by how much
+    [s].
     """
-    verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
+    verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, apart=apart)
     model = estimate.model
     if model is None:
         return replace(estimate, verdict=verdict)
     reasons = [*_silences(silent), *_collapses(model.output_names, fresh_fit, fresh_ratio),
-               *_moves(model.n, before, moved, fresh_ratio)]
+               *_disagreements(model.output_names, apart)]
     untested = verdict.grade is Grade.WEAK and verdict.remedy is Remedy.TEST
     if untested and (reasons or _well(fresh_fit, fresh_ratio)):
         verdict = weakened(replace(
@@ -510,16 +508,10 @@ def _times(ratio: float) -> str:
     return f', its error {ratio:.1f} times that on older data' if np.isfinite(ratio) else ''
 
 
-def _moves(order: int, before: tuple[int, ...], moved: float,
-           ratio: Array) -> Iterator[tuple[Remedy, str]]:
-    # Other orders and poles are as good where the last model simulates the new data as the old.
-    if np.isfinite(ratio).all():
-        return
-    if before and order not in before:
-        yield Remedy.SETTING, (
-            f'The order has changed from {before[0]} to {order} since the last accepted model; '
-            'set `order` in the parameter file, to keep one.')
-    if moved > _MOVED:
+def _disagreements(names: tuple[str, ...], apart: Array) -> Iterator[tuple[Remedy, str]]:
+    for i in np.flatnonzero(apart > _APART):
         yield Remedy.WAIT, (
-            f'A pole has moved by {_about(moved)} standard deviations since the previous model; '
-            f'{_WAIT}.')
+            f'This model and the previous one simulate output {names[i]} of this window '
+            f'{_percent(float(apart[i]))} of its motion apart; {_WAIT}.')
+
+

@@ -44,7 +44,7 @@ WORDS = ('input_names', 'input_units', 'output_names', 'output_units')
 DEVIATIONS = ('natural_frequency_std', 'damping_std', 'dc_gain_std', 'delay_std')
 EXCITATION = ('low', 'high', 'frequencies', 'own', 'uncertainty')  # beside the input's name
 _SAME_POLE = 1e-3  # of the largest: other computers find multiple poles a little elsewhere
-GONE = ('missing', 'missing_p_value', 'next_ratio', 'held_out_fit')  # of version 1
+GONE = ('missing', 'missing_p_value', 'next_ratio', 'held_out_fit', 'moved')  # of version 1
 
 
 def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) -> str:

@@ -178,10 +178,11 @@ class Verdict:
         the model, of the motion within a tenth of a record [%].
     fresh_ratio : ndarray, shape (ny,)
         Fresh error ratio: rms error of the previous model on the data that are new in this
-        window, over that on the older data of this window.
-    moved : float
-        Largest movement of a pole since the previous model, in standard deviations of both
-        together; NaN if the orders differ or there was none.
+        window, over that on the worst stretch as long of its older data, states and offsets of
+        each their own.
+    apart : ndarray, shape (ny,)
+        Rms difference of what this model and the previous one simulate of the window, over the
+        motion; NaN if there was none, or of models that predict.
     agreement : Agreement or None
         With a second method; None if none was asked for.
     """
@@ -200,7 +201,7 @@ class Verdict:
     change_cost: float = float('nan')
     curve_gain: Array = field(default_factory=lambda: np.empty(0))
     fresh_ratio: Array = field(default_factory=lambda: np.empty(0))
-    moved: float = float('nan')
+    apart: Array = field(default_factory=lambda: np.empty(0))
     agreement: Agreement | None = None
 
 

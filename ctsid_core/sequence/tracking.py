@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import pairwise
 
 import numpy as np
@@ -32,6 +33,7 @@ from ctsid_core.signals.gaps import silent_at_end
 from ctsid_core.signals.record import Record
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
+_STRETCH = 0.1        # of a window, at least, is simulated by itself: of less a state tells all
 EDGE = 1 / 40         # part of a window: half of the steps in which the time of a change is found
 _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
@@ -67,9 +69,7 @@ class _Past:
     reference: StateSpace | None = None
     model: StateSpace | None = None
     error: Array = field(default_factory=lambda: np.empty(0))   # (ny,): rms, of its simulation
-    orders: tuple[int, ...] = ()    # of the model, and of the last GOOD one
     actuators: tuple[Actuator, ...] = ()  # of the last GOOD one
-    pole_std: Array = field(default_factory=lambda: np.empty(0))
     end_ns: int = 0
     rows: Rows = field(default_factory=Rows)
     next_mode: int = 1
@@ -118,9 +118,8 @@ class Tracker:
         estimate = _with_actuators(past, settings, record, estimate, cancelled)
         if not record.faults:  # else the samples changed, not the plant
             estimate = self._reject_straddling(estimate)
-        known = past.model is not None and not settings.order
-        estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
-                               past.orders if known else (), silent_at_end(record))
+        estimate = in_sequence(estimate, test.fit, test.ratio, _apart(past, estimate, clean),
+                               silent_at_end(record))
         model = estimate.model
         if model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
@@ -208,11 +207,10 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
     estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned),
                        covariance=estimate.covariance and estimate.covariance.transform(T))
     next_mode = max((past.next_mode, *(1 + mode for mode in rows.identities)))
-    orders = (model.n, model.n if estimate.good else past.orders[-1] if past.orders else 0)
     return estimate, replace(
-        past, realisation=realisation, reference=reference, model=aligned, orders=orders,
+        past, realisation=realisation, reference=reference, model=aligned,
         actuators=model.actuators if estimate.good else past.actuators,
-        pole_std=estimate.pole_std, end_ns=estimate.end_ns, rows=rows, next_mode=next_mode)
+        end_ns=estimate.end_ns, rows=rows, next_mode=next_mode)
 
 
 def _error(estimate: Estimate, record: Record) -> Array:
@@ -235,16 +233,20 @@ def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Arra
     return np.asarray(estimate.pole_std[linear_sum_assignment(away)[1]])
 
 
-def _moved(past: _Past, estimate: Estimate) -> float:
-    """Return how far the poles have moved since the last model, see `Verdict.moved`."""
-    model, last = estimate.model or estimate.rejected_model, past.model
-    if model is None or last is None or not model.n == last.n == len(estimate.pole_std):
-        return np.nan
-    both = np.hypot(estimate.pole_std[:, np.newaxis], past.pole_std)
-    away = np.abs(model.poles[:, np.newaxis] - last.poles) / np.maximum(both, 1e-300)
-    if not np.isfinite(away).all():
-        return np.nan
-    return float(away[linear_sum_assignment(away)].max(initial=0.0))
+def _apart(past: _Past, estimate: Estimate, record: Record) -> Array:
+    """Return how far apart a model and the last one simulate a record, see `Verdict.apart`."""
+    model, nothing = estimate.model or estimate.rejected_model, np.full(record.ny, np.nan)
+    if model is None or past.model is None or estimate.by_predictions:
+        return nothing
+    try:
+        one, other = (simulation(m, record, trim='refit') for m in (model, past.model))
+    except np.linalg.LinAlgError:
+        return nothing
+    # Where what lies between input and model is another, one may be known later.
+    _, *rows = np.intersect1d(one.times, other.times, return_indices=True)
+    y, own, last = one.y[rows[0]], one.y_hat[rows[0]], other.y_hat[rows[1]]
+    with np.errstate(over='ignore', invalid='ignore'):
+        return _rms(np.where(np.isnan(y), y, own - last)) / _motion(y)
 
 
 @dataclass(frozen=True)
@@ -263,42 +265,49 @@ def _fresh(past: _Past, record: Record) -> _Test:
     none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
     if past.model is None or past.end_ns >= end_ns:
         return none
-    # Where few older data are left in this window, the model's own window tells; and offsets of a
-    # later time are its own, as those of another recording are.
-    apart = 2 * past.end_ns < start_ns + end_ns
+    seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
+    # Stretches as long as what is new, that first. What disturbs a plant varies from one to the
+    # next, and is no change of it: each has a state and offsets of its own.
+    length = max(record.end - max(seen, record.start), _STRETCH * record.duration)
+    ends = np.arange(record.end, record.start - _SAME_STAMP, -length).tolist()
     try:
         found = simulation(past.model, record)
-        compared = simulation(past.model, record, trim='refit') if apart else found
+        errors = [_alone(past.model, record, start, end) for end, start in pairwise(ends)]
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
-    seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    new = found.times > seen
-    error = _errors(found, new)
-    before = past.error if apart else _of_worst_stretch(found, seen, record)
-    spread = np.array([np.std(y[~np.isnan(y)]) if np.isfinite(y).any() else 0.0
-                       for y in found.y.T])
-    fit = 100.0 * (1.0 - error / np.where(spread > 0.0, spread, np.nan))
+    error = _errors(found, found.times > seen)
+    fit = 100.0 * (1.0 - error / _motion(found.y))
     if np.isnan(fit).all():
         return none
-    error = _errors(compared, new)
-    ratio = np.where(error > 0.0, error, np.nan) / np.where(before > 0.0, before, np.nan)
+    # Where no older data are left that are as long, the model's own window tells.
+    new, *old = errors
+    before = reduce(np.fmax, old) if old else past.error
+    ratio = np.where(new > 0.0, new, np.nan) / np.where(before > 0.0, before, np.nan)
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _of_worst_stretch(found: Validation, end: float, record: Record) -> Array:
-    """Return the rms error of each output on that stretch before `end` [s] where it is largest."""
-    # Stretches are as long as the rest of the record: what disturbs a plant varies from one to the
-    # next.
-    worst = _errors(found, found.times <= end)
-    for b, a in pairwise(np.arange(end, record.start, end - record.end).tolist()):
-        worst = np.fmax(worst, _errors(found, (found.times > a) & (found.times <= b)))
-    return worst
+def _alone(model: StateSpace, record: Record, start: float, end: float) -> Array:
+    """Return the rms error with which a model simulates each output of a part of a record."""
+    found = simulation(model, replace(record, start=max(start, record.start), end=end),
+                       trim='refit')
+    return _errors(found, np.ones(len(found.times), dtype=bool))
+
+
+def _motion(y: Array) -> Array:
+    """Return the standard deviation of each output, where known; NaN if it does not move."""
+    found = np.array([np.std(own[~np.isnan(own)]) if np.isfinite(own).any() else 0.0
+                      for own in y.T])
+    return np.where(found > 0.0, found, np.nan)
 
 
 def _errors(found: Validation, rows: Mask) -> Array:
     """Return the rms error of each output on some rows, where known; NaN for too few."""
-    error = np.where(rows[:, np.newaxis], found.y - found.y_hat, np.nan)
-    number = np.sum(~np.isnan(error), axis=0)
+    return _rms(np.where(rows[:, np.newaxis], found.y - found.y_hat, np.nan))
+
+
+def _rms(values: Array) -> Array:
+    """Return the root mean square of each column, where known; NaN for too few."""
+    number = np.sum(~np.isnan(values), axis=0)
     with np.errstate(over='ignore', invalid='ignore'):  # a model that explodes
-        power = np.nansum(error ** 2, axis=0) / np.maximum(number, 1)
+        power = np.nansum(values ** 2, axis=0) / np.maximum(number, 1)
     return np.where(number >= _FEWEST, np.sqrt(power), np.nan)

@@ -174,6 +174,8 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
                'independent [%]': 100 * verdict.independent, 'not linear [%]': verdict.curve_gain}
     if np.isfinite(verdict.fresh_ratio).any():
         columns['error on new over old data'] = verdict.fresh_ratio
+    if np.isfinite(verdict.apart).any():
+        columns['models apart [%]'] = 100 * verdict.apart
     outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns.values()))
                     for i, name in enumerate(model.output_names))
     tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
