@@ -26,7 +26,7 @@ from ctsid_core.search.by_order import SEARCHED
 from ctsid_core.search.commands import Acting, Commands, Start, commands_of, with_number
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution
 from ctsid_core.search.task import free_of, own_delays, samples_of_part
-from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, tried
+from ctsid_core.search.tried import ENOUGH, SEARCH, Tried, likelihood_gain, tried
 from ctsid_core.settings import Actuator, Settings
 from ctsid_core.signals.actuators import in_words
 from ctsid_core.signals.record import placed
@@ -136,35 +136,26 @@ def _doubt(name: str, kind: str, given: float, value: float) -> Doubt:
 
 def _explains_more(one: Solution, other: Solution, numbers: int, bends: bool) -> bool:
     """Return whether a model of inputs that act with so many more numbers is to be taken."""
-    # A timeout may leave what commands do that were lost, and which look alike: it has to gain
-    # twice as much. What `bends` inputs has to explain most.
+    # Where what acts is right its errors are as independent as they seem. A timeout may leave what
+    # commands do that were lost, and which look alike: there both models' errors count, and it has
+    # to gain twice as much. What `bends` inputs has to explain most.
     if one.simulated is None:
         return False
     own = tried(*one.simulated)
     if other.simulated is None:
         return own.unexplained < DISTURBED
     if not numbers:
-        return _gain(own, tried(*other.simulated), 0) > 0.0
+        return likelihood_gain(own, tried(*other.simulated)) > 0.0
     rival = tried(*other.simulated)
     return _surely(own, rival, numbers) if bends else \
-        _gain(own, rival, numbers, doubted=True) > 2.0 * SURELY
+        likelihood_gain(own, rival, numbers, both=True) > 2.0 * SURELY
 
 
 def _surely(one: Tried, other: Tried, numbers: int) -> bool:
     """Return whether a model of what acts is surely likelier, and leaves little, or is smaller."""
     fewer = one.fit.model.n < other.fit.model.n
-    return one.unexplained < _LEFT and _gain(one, other, numbers) > SURELY and (
+    return one.unexplained < _LEFT and likelihood_gain(one, other, numbers) > SURELY and (
         fewer or one.unexplained < _MOST * other.unexplained)
-
-
-def _gain(one: Tried, other: Tried, numbers: int, doubted: bool = False) -> float:
-    """Return by how much a model of what acts is likelier than another, at the price of it."""
-    # Where it is right its errors are as independent as they seem; what was lost looks alike.
-    n_eff = np.maximum(np.minimum(one.independent, other.independent) if doubted else
-                       one.independent, 2.0)
-    ratio = np.log(np.maximum(other.power, 1e-24) / np.maximum(one.power, 1e-24))
-    return float(n_eff @ ratio) + float(np.log(n_eff.max())) * (
-        other.parameters - one.parameters - numbers)
 
 
 def _count(acting: Acting) -> int:
@@ -203,8 +194,9 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         same = commands.reached(acting, starts[:1]) or own
         new = [one for one in sought if one not in _set(sought, acting)]
         (channels, kind), = _set(new, best[1])
-        if _gain(best[0], min(own, same, key=lambda one: one.fit.cost), 1, kind == 'timeout') \
-                < SURELY * (1 + sum(map(bool, acting[channels[0]]))):
+        rival = min(own, same, key=lambda one: one.fit.cost)
+        needed = SURELY * (1 + sum(map(bool, acting[channels[0]])))
+        if likelihood_gain(best[0], rival, 1, both=kind == 'timeout') < needed:
             break
         own, acting = _nearer(commands, *best, _PASSES * _set(new, best[1]))
     numbers = _PASSES * _set(sought, acting)
@@ -225,9 +217,9 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         value = getattr(known[channels[0]], kind)
         stays = with_number(acting, channels, kind, value)
         near = whole.reached(stays, [(own.fit.model.poles, own.fit.model.delay)])
-        if near is not None and _gain(own, near, 0) < SURELY:
+        if near is not None and likelihood_gain(own, near) < SURELY:
             own, acting = near, stays
-    if _gain(own, given, 0) < _CHANCE:
+    if likelihood_gain(own, given) < _CHANCE:
         return known, False
     return acting, _surely(own, given, _count(acting) - _count(known))
 

@@ -25,6 +25,7 @@ from ctsid_core.search.tried import (
     choose,
     climbed,
     fitted,
+    likelihood_gain,
     price,
     roughly,
     tried,
@@ -106,10 +107,7 @@ def _gains(samples: Samples, own: Tried, smaller: list[Tried], late: Array,
         with suppress(np.linalg.LinAlgError):
             other = roughly(samples, model.poles, np.where(
                 free.delays, np.maximum(model.delay + late, 0.0), model.delay), free, one.fit)
-            n_eff = np.maximum(np.minimum(own.independent, other.independent), 2.0)
-            ratio = np.log(np.maximum(own.power, 1e-24) / np.maximum(other.power, 1e-24))
-            each = min(float(np.log(n_eff.max())), price(samples))
-            yield float(n_eff @ ratio) + each * (own.parameters - other.parameters)
+            yield likelihood_gain(other, own, both=True, most=price(samples))
 
 
 def _with_input(samples: Samples, place: int, signals: Sequence[Signal]) -> Samples:

@@ -221,6 +221,21 @@ def imitates(larger: Tried, smaller: Tried) -> bool:
         smaller.drifting.samples)
 
 
+def likelihood_gain(one: Tried, other: Tried, numbers: int = 0, *, both: bool = False,
+                    most: float = np.inf) -> float:
+    """
+    Return by how much a model is likelier than one of other inputs, its further numbers paid.
+
+    Its own errors say how many are independent, unless those of `both` are to. A number costs the
+    logarithm of these, at `most` so much; so many `numbers` are of its inputs.
+    """
+    n_eff = np.maximum(np.minimum(one.independent, other.independent) if both else
+                       one.independent, 2.0)
+    ratio = np.log(np.maximum(other.power, ROUNDING) / np.maximum(one.power, ROUNDING))
+    return float(n_eff @ ratio) + min(float(np.log(n_eff.max())), most) * (
+        other.parameters - one.parameters - numbers)
+
+
 def beats(one: Tried, other: Tried) -> bool:
     """Return whether a model is to be taken instead of another: with more numbers, if it gains."""
     if one.parameters <= other.parameters:
