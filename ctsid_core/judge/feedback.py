@@ -74,14 +74,16 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
     inputs that never rest while outputs move, as a controller that answers at once does not.
     """
     # A controller with sensors of its own hears another noise than is recorded: means tell of it.
+    # Strictly before an input are outputs that may follow it at once.
     before = bool(model.D.any()) and not same_instant
     found = np.full((len(records), model.nu), np.inf)
     for row, record in zip(found, records, strict=True):
         j = 0
         for signal in unramped(record.inputs, record.commands):
             rests = resting_times(signal, record) if same_instant else [0.0] * signal.width
-            kinds = [_answers(signal, record, before),
-                     *([] if model.D.any() else [_in_means(signal, record)])]
+            outputs, changes, past = outputs_before(signal, record, before)
+            kinds = [_answers(outputs, changes, past, signal.period),
+                     *([] if model.D.any() else [_in_means(outputs, changes, signal.period)])]
             for rest, *answers in zip(rests, *kinds, strict=True):
                 if rest <= MOVING * signal.period:
                     row[j] = min((_distance(one, model, j, excited[j])
@@ -178,28 +180,24 @@ def _distance(answer: _Answer, model: StateSpace, j: int, excited: Excitation) -
     return float(np.median(np.linalg.norm(rows, axis=1)))
 
 
-def _answers(signal: Signal, record: Record, at_once: bool) -> list[_Answer | None]:
+def _answers(outputs: Array, changes: Array, past: int, step: float) -> list[_Answer | None]:
     """Return what outputs before it add to each change of a channel, if they tell."""
-    # Strictly before it if outputs follow the inputs `at_once`.
-    outputs, changes, past = outputs_before(signal, record, at_once)
     if not past:
-        return [None] * signal.width
+        return [None] * len(changes)
     weights, left = regressed_on_past(outputs[1:], changes, past)
     found: list[_Answer | None] = []
     for own, power, w in zip(changes, left, weights, strict=True):
         rest = left_alone(own, past)
         tells = power < rest and rest > SMOOTH * np.mean(own ** 2)
-        found.append(_Answer(w.reshape(past, -1), np.zeros(0), signal.period, signal.period)
-                     if tells else None)
+        found.append(_Answer(w.reshape(past, -1), np.zeros(0), step, step) if tells else None)
     return found
 
 
-def _in_means(signal: Signal, record: Record) -> list[_Answer | None]:
+def _in_means(outputs: Array, changes: Array, step: float) -> list[_Answer | None]:
     """Return what means of outputs before it add to each change of a channel, if they tell."""
-    outputs, changes, _ = outputs_before(signal, record, False)
     past, ny = past_of(outputs), outputs.shape[1]
     if past < NEWEST:
-        return [None] * signal.width
+        return [None] * len(changes)
     means = newest_of(outputs, NEWEST ** 2)
     means = means.reshape(len(means), -1, NEWEST).mean(axis=2)
     found: list[_Answer | None] = []
@@ -208,5 +206,5 @@ def _in_means(signal: Signal, record: Record) -> list[_Answer | None]:
         answer = heard(own, means, past) if noisy else None
         found.append(None if answer is None else _Answer(
             np.repeat(answer[1].reshape(ny, NEWEST)[:, ::-1].T / NEWEST, NEWEST, axis=0),
-            answer[0], signal.period, NEWEST * signal.period))
+            answer[0], step, NEWEST * step))
     return found
