@@ -68,8 +68,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     covariance = _covariance(solution, model, sought)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
-    unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
-                      solution.refit, solution.predictor)
+    unseen = held_out(solution)
     simulated = solution.simulated
     effort.check()
     apart = rivals_apart(samples, fit.model, () if solution.by_prediction else solution.rivals)[

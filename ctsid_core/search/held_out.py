@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,7 +11,6 @@ import numpy as np
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
     Fit,
-    Fitted,
     Free,
     climb_roughly,
     errors_of,
@@ -31,7 +29,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction, simulation
 from ctsid_core.search.by_prediction import plant_of
 from ctsid_core.search.own_past import AHEAD, HORIZONS
-from ctsid_core.search.solution import DISTURBED
+from ctsid_core.search.solution import DISTURBED, Solution
 from ctsid_core.signals.gaps import GAP_PERIODS
 from ctsid_core.signals.record import Record
 
@@ -55,18 +53,18 @@ class HeldOut:
     why: str = ''    # nothing was held out, in words
 
 
-def held_out(samples: Samples, fit: Fit, free: Free, share: float,
-             refit: Callable[[Samples], Fit | None] | None = None,
-             predictor: Fitted | None = None) -> HeldOut:
+def held_out(solution: Solution) -> HeldOut:
     """
     Return the errors on the share of the samples that is held out.
 
     The ends of the thirds of each record, so that sweeps and steps, and axes that are moved one
     after the other, are in both: the model of the rest, with the poles of the whole refined there,
     runs through them, with its states and its trim. Of a model that only predictions tell:
-    one-step predictions. `refit` makes the model of the first part, by default output error does,
-    or predictions by which the plant was found: their `predictor`.
+    one-step predictions. A method that refits makes the model of the first part, else output error
+    does, or predictions by which the plant was found.
     """
+    samples, fit, free = solution.samples, solution.fit, solution.free
+    share, refit = solution.settings.share_held_out, solution.refit
     if share == 0.0:
         return _nothing(samples, 'none are asked for (`validation.held_out`, or `hermite.edges`)')
     if len(samples.records) > 1:        # too short for other methods, if they are many
@@ -79,12 +77,12 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     def of(early: Samples) -> Fit | None:
         if refit is not None:
             return refit(early)
-        if predictor is None:
+        if solution.predictor is None:
             # From the residues of the whole: of poles that are alike no others tell them.
             near = fit_states(early, fit.model, free)
             return climb_roughly(
                 early, fit_at(early, fit.model.poles, fit.model.delay, free, near), free)
-        joint, top, own = predictor
+        joint, top, own = solution.predictor
         rest = kept(joint.thinned(_SEARCHED))
         top = climb_roughly(rest, fit_at(rest, top.model.poles, top.model.delay, own), own)
         m = plant_of(top, rest, 0, free.limit, predicts=False)
