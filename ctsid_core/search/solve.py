@@ -90,8 +90,10 @@ def _solved(task: Task) -> Solution | None:
             solved := as_likely(task, one.samples, free, sought)):
         return solved
     task, one = _without_outliers(task, _with_direct(task, one, subspace) if direct else one)
-    hold, order = _doubts(task, one)
+    hold = doubt_of_hold(task, one.samples.thinned(SEARCHED, scattered=True), one.found, one.best,
+                         one.free)
     left = one.best.left
+    order = doubt_of_order(task, one.samples, one.free) if left > UNEXPLAINED else None
     if direct and left > UNEXPLAINED and not task.effort.beyond(SEARCH):
         sought = predicted(task, one.samples, one.free)
         growth = -np.inf if sought is None else growth_of(sought, one.samples)
@@ -104,14 +106,6 @@ def _solved(task: Task) -> Solution | None:
     simulates = held or growth > GROWS or order or left <= UNEXPLAINED
     return _finished(task, one, subspace, hold or order, None if simulates else sought,
                      growth > GROWS)
-
-
-def _doubts(task: Task, one: _Searched) -> tuple[Doubt | None, Doubt | None]:
-    """Return what is doubted of how inputs are held, and of an order that is given."""
-    return (doubt_of_hold(task, one.samples.thinned(SEARCHED, scattered=True), one.found, one.best,
-                          one.free),
-            doubt_of_order(task, one.samples, one.free)
-            if one.best.left > UNEXPLAINED else None)
 
 
 def _at_once(task: Task, samples: Samples, free: Free, sought: PredictionFit) -> Solution | None:
