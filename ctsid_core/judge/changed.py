@@ -105,8 +105,8 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     if len(recordings(joint)) > 1:
         # What disturbs a record is its own, and so is its predictor.
         with suppress(np.linalg.LinAlgError):
-            start = fit_at(one, fit.model.poles, fit.model.delay, free)
-            whole = climb_roughly(one, start, free, steps=_STEPS).model, free
+            whole = climb_roughly(one, fit_at(one, *fit.model.nonlinear, free), free,
+                                  steps=_STEPS).model, free
     found = _divisions(one, whole, whole, 0)
     best = _best(one, whole, found) if found.gain > 0.0 else Change()
     if not best.gain > 0.0:
@@ -257,7 +257,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
             return Change()
         try:
             same = fit_states(side, model, free)
-            starts = [fit_at(side, model.poles, model.delay, free, near)
+            starts = [fit_at(side, *model.nonlinear, free, near)
                       for near in ((same, None) if samples.rank > 1 else (None,))]
             other = climb_roughly(side, min(starts, key=lambda fit: fit.cost), free, steps=_STEPS)
         except np.linalg.LinAlgError:

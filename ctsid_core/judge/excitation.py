@@ -123,8 +123,7 @@ def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[floa
     # As it moves from what it is where states begin. Before them the share of the stream in all
     # samples of its outputs.
     total = samples.counts.sum(axis=0)
-    columns = columns_of(samples, model.poles, model.delay, direct=True, turned=False,
-                         slopes=False)
+    columns = columns_of(samples, *model.nonlinear, direct=True, turned=False, slopes=False)
     for record, triangles, u in zip(samples.records, columns.triangles, columns.first,
                                     strict=True):
         for s, t in zip(record.streams, triangles, strict=True):

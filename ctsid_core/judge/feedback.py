@@ -115,8 +115,7 @@ def stamp_sensitivity(solution: Solution, excited: Sequence[Excitation]) -> floa
         for r in samples.records))
     omega = np.geomspace(low, high, _FREQUENCIES)
     with suppress(np.linalg.LinAlgError):
-        moved = climb_roughly(other, fit_at(other, fit.model.poles, fit.model.delay, free, fit),
-                              free)
+        moved = climb_roughly(other, fit_at(other, *fit.model.nonlinear, free, fit), free)
         plants = [(plant_of(one, samples, last, np.inf), one.model.delay) for one in (fit, moved)]
         if any(m is None for m, _ in plants):
             return 0.0

@@ -155,7 +155,7 @@ def only(samples: Samples, place: int) -> Samples:
 def slopes_of(samples: Samples, own: Own) -> Slopes:
     """Return what may change the simulation of each sample of these records."""
     model, free = own
-    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough, turned=False)
+    columns = columns_of(samples, *model.nonlinear, direct=free.feedthrough, turned=False)
     fit = fit_states(samples, model, free, columns)
     rows, error, places = jacobian(samples, fit, free)
     shares = [(s.times - start) / (end - start) for r in samples.records

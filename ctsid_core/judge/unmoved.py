@@ -156,7 +156,7 @@ def _of_the_rest(simulated: Fitted, place: int, channel: int,
     samples, fit, free = simulated
     rest = _without(samples, place, channel, run)
     with suppress(np.linalg.LinAlgError):
-        fit = climb_roughly(rest, fit_at(rest, fit.model.poles, fit.model.delay, free), free)
+        fit = climb_roughly(rest, fit_at(rest, *fit.model.nonlinear, free), free)
     m = matrices_of(fit.model, samples.size)
     return (StateSpace(m.A, m.B, m.C, m.D, delay=tuple(fit.model.delay.tolist())),
             float(np.sqrt(fit.power[place, channel])) * float(samples.size[channel]))

@@ -44,6 +44,11 @@ class ModalModel:
         """Number of states."""
         return len(self.poles) + int(np.count_nonzero(self.poles.imag > 0.0))
 
+    @property
+    def nonlinear(self) -> tuple[ComplexArray, Array]:
+        """Poles and dead times: all else is linear, and follows from them and the samples."""
+        return self.poles, self.delay
+
 
 @dataclass(frozen=True)
 class PoleSteps:

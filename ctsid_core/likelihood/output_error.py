@@ -153,7 +153,7 @@ def steps_around(samples: Samples, model: ModalModel) -> PoleSteps:
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:
     """Return a fit with the derivatives of its columns."""
     return fit if fit.columns.layout.shape.slopes else replace(fit, columns=columns_of(
-        samples, fit.model.poles, fit.model.delay, direct=free.feedthrough))
+        samples, *fit.model.nonlinear, direct=free.feedthrough))
 
 
 def _at_most(promise: float, samples: Samples) -> float:
@@ -541,8 +541,8 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
 
     `columns` are those of its poles and dead times, if they are known.
     """
-    columns = columns or columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
-                                    slopes=False)
+    columns = columns or columns_of(
+        samples, *model.nonlinear, direct=free.feedthrough, slopes=False)
     power = np.ones((len(samples.records), samples.ny))
     model = replace(model, x0=np.zeros((len(power), len(model.poles)), dtype=complex),
                     y0=np.zeros_like(power))

@@ -20,8 +20,7 @@ _RUN = 8              # samples at least, that tell how much errors vary within 
 def residuals(samples: Samples, fit: Fit) -> Residuals:
     """Return measured less simulated outputs over their size, (N, channels) of each stream."""
     return errors_of(samples, fit.model, columns_of(
-        samples, fit.model.poles, fit.model.delay, direct=bool(fit.model.D.any()), turned=False,
-        slopes=False))
+        samples, *fit.model.nonlinear, direct=bool(fit.model.D.any()), turned=False, slopes=False))
 
 
 def driven(samples: Samples, fit: Fit, errors: Residuals) -> Array:

@@ -185,8 +185,8 @@ def covariance_work(samples: Samples, n: int) -> float:
 def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> Array:
     """Return the covariance of the errors' sums over orthonormal directions of the simulation."""
     # Of outputs that are sampled together with what they share.
-    whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
-                                            direct=free.feedthrough, turned=False))
+    whole = replace(fit, columns=columns_of(
+        samples, *fit.model.nonlinear, direct=free.feedthrough, turned=False))
     rows, errors, _ = jacobian(samples, whole, free)
     found, at = np.zeros((directions.shape[1],) * 2), 0
     for own in whole.columns.triangles:
@@ -272,7 +272,7 @@ def _after_0(samples: Samples, fit: Fit, free: Free) -> Fit:
         return fit
     model = replace(model, delay=np.where(late, _BEGUN * samples.interval, model.delay))
     return replace(fit, model=model, columns=columns_of(
-        samples, model.poles, model.delay, direct=free.feedthrough))
+        samples, *model.nonlinear, direct=free.feedthrough))
 
 
 def _times(samples: Samples, fit: Fit, free: Free, white: Array, ahead: Array, far: bool) -> Array:

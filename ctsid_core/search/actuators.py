@@ -177,7 +177,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     if not sought or effort.leaves_out(_ASKED, SEARCH):
         return acting, False
     smaller = sorted((one for one, _ in model.smaller), key=lambda one: one.n)[-1:]
-    starts = [*((one.poles, one.delay) for one in (fit.model, *smaller)),
+    starts = [*(one.nonlinear for one in (fit.model, *smaller)),
               *_starts(commands.samples, free, fit.model.delay)]
     screen = replace(commands, samples=commands.samples.thinned(_SCREENED))
     known, begun = acting, starts[0]
@@ -190,7 +190,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
         if best is None or effort.leaves_out(_ASKED, SEARCH):
             break
         # Another start may be what is better of it.
-        starts[0] = best[0].fit.model.poles, best[0].fit.model.delay
+        starts[0] = best[0].fit.model.nonlinear
         same = commands.reached(acting, starts[:1]) or own
         new = [one for one in sought if one not in _set(sought, acting)]
         (channels, kind), = _set(new, best[1])
@@ -205,7 +205,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
     whole = commands_of(samples, sent, free)        # they are as sure as all samples tell
     if effort.beyond(SEARCH, _EACH * len(numbers) * whole.work(own.fit)):
         whole, numbers = commands, []               # another search has to follow
-    own = whole.reached(acting, [(own.fit.model.poles, own.fit.model.delay)])
+    own = whole.reached(acting, [own.fit.model.nonlinear])
     given = whole.reached(known, [begun])
     if own is None or given is None:
         return known, False
@@ -216,7 +216,7 @@ def _likeliest(solution: Solution, model: Solution, sent: Joint, settings: Setti
             continue
         value = getattr(known[channels[0]], kind)
         stays = with_number(acting, channels, kind, value)
-        near = whole.reached(stays, [(own.fit.model.poles, own.fit.model.delay)])
+        near = whole.reached(stays, [own.fit.model.nonlinear])
         if near is not None and likelihood_gain(own, near) < SURELY:
             own, acting = near, stays
     if likelihood_gain(own, given) < _CHANCE:
@@ -238,11 +238,11 @@ def _beside(solution: Solution,
         return
     samples, fit, free = solution.simulated
     commands = commands_of(samples, solution.part, free)
-    own = commands.reached(acting, [(fit.model.poles, fit.model.delay)])
+    own = commands.reached(acting, [fit.model.nonlinear])
     if own is None:
         return
     worth = float(own.independent.sum() / own.samples.counts.sum())
-    start = own.fit.model.poles, own.fit.model.delay
+    start = own.fit.model.nonlinear
     for channel, kind in told:
         value = getattr(acting[channel], kind)
 
@@ -293,8 +293,8 @@ def _next(commands: Commands, screen: Commands, acting: Acting,
                 near.append((one.cost, other, one, (channels, kind)))
         likely += sorted(near, key=lambda n: n[0])[:1]
     found = [_nearer(commands, best, other, [new]) for _, other, one, new in sorted(
-        likely, key=lambda n: n[0])[:_BEST] if (best := commands.reached(
-            other, [(one.model.poles, one.model.delay), *starts])) is not None]
+        likely, key=lambda n: n[0])[:_BEST]
+        if (best := commands.reached(other, [one.model.nonlinear, *starts])) is not None]
     return min(found, key=lambda one: one[0].fit.cost, default=None)
 
 
@@ -316,7 +316,7 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
         def cost(value: float, channels: Sequence[int] = channels, kind: str = kind,
                  near: Fit = near, acting: Acting = acting) -> float:
             one = commands.at(commands.acting(with_number(acting, channels, kind, value)),
-                              (near.model.poles, near.model.delay), near)
+                              near.model.nonlinear, near)
             return np.inf if one is None else one.cost
         least, most = commands.bounds(channels[0], kind, acting[channels[0]])
         best = minimize_scalar(
@@ -326,7 +326,7 @@ def _nearer(commands: Commands, own: Tried, acting: Acting,
         if not best.fun < near.cost or abs(best.x - value) < _CLOSELY * value:
             continue
         other = with_number(acting, channels, kind, float(best.x))
-        one = commands.reached(other, [(near.model.poles, near.model.delay)])
+        one = commands.reached(other, [near.model.nonlinear])
         if one is not None:
             own, acting, same = one, other, 0
     return own, acting

@@ -189,8 +189,7 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
             if start is not None:
                 fit = fit_at(samples, *start[2:], free, slopes=False)
                 for _ in range(_PASSES if samples.rank > 1 else 0):
-                    fit = fit_at(samples, fit.model.poles, fit.model.delay, free, fit,
-                                 slopes=False)
+                    fit = fit_at(samples, *fit.model.nonlinear, free, fit, slopes=False)
                 return fit
         return None
 
@@ -312,7 +311,7 @@ def _by_correlation(samples: Samples, model: ModalModel, free: Free,
     if not any(free.delays) or samples.effort.beyond(SEARCH):
         return
     poles = canonical(bounded(np.unique(model.poles), -1.0 / samples.length, np.inf))
-    columns = columns_of(samples, model.poles, model.delay, direct=bool(model.D.any()),
+    columns = columns_of(samples, *model.nonlinear, direct=bool(model.D.any()),
                          turned=False, slopes=False)
     for j in np.flatnonzero(free.delays).tolist():
         others = np.arange(samples.nu) != j
@@ -345,7 +344,7 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             options = [('', none, d) for d in (known, *late, *near)]
         elif before in found:
             model = found[before].fit.model
-            options = [('', model.poles, model.delay)]
+            options = [('', *model.nonlinear)]
             if np.any(model.delay != known):
                 half = np.where(free.delays, 0.5 * model.delay, known)
                 # It may stand for a lag: of one state each of these is a kind of its own.

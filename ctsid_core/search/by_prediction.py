@@ -113,7 +113,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     for one in likely:
         fit, final = one.found.fit, _judged if joint.effort.beyond(SEARCH) else _nearby
         climbed = one if joint is thin else final(
-            joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
+            joint, fit_at(joint, *fit.model.nonlinear, one.free, fit), one.free, last)
         known += [] if climbed is None else [_foretold(climbed, lost, last) if lost else climbed]
     if not known:
         return None
@@ -143,7 +143,7 @@ def _begun(joint: Samples, starts: dict[int, Start],
     score: dict[int, float] = {}
     power = np.ones((len(joint.records), joint.ny))
     for n, start in starts.items():
-        poles, delay = start.model.poles, start.model.delay
+        poles, delay = start.model.nonlinear
         columns = columns_of(joint, poles, delay, direct=False, slopes=False)
         with suppress(np.linalg.LinAlgError):
             begun[n] = fit_at(joint, poles, delay, free, Guess(start.model, power), columns)
@@ -212,7 +212,7 @@ def _foretold(one: PredictionFit, lost: Lost, last: Compared) -> PredictionFit:
     for _ in range(0 if one.samples.effort.beyond(SEARCH) else _REFITS):
         fit, joint = one.found.fit, foretold(one.samples, one.found.fit, lost)
         with suppress(np.linalg.LinAlgError):
-            start = fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit)
+            start = fit_at(joint, *fit.model.nonlinear, one.free, fit)
             one = _nearby(joint, start, one.free, last) or one
     return one
 

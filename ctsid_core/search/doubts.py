@@ -62,7 +62,7 @@ def doubt_of_hold(task: Task, samples: Samples, found: dict[int, Tried], best: T
         if samples.effort.leaves_out('what inputs do between their samples', SEARCH):
             return None
         model = best.fit.model
-        own = own or roughly(samples, model.poles, model.delay, free, best.fit)
+        own = own or roughly(samples, *model.nonlinear, free, best.fit)
         late = np.zeros(samples.nu)
         late[channels] = 0.5 * signal.period * (1.0 if signal.hold == 'zoh' else -1.0)
         without = replace(free, feedthrough=False)

@@ -80,11 +80,10 @@ def held_out(solution: Solution) -> HeldOut:
         if solution.predictor is None:
             # From the residues of the whole: of poles that are alike no others tell them.
             near = fit_states(early, fit.model, free)
-            return climb_roughly(
-                early, fit_at(early, fit.model.poles, fit.model.delay, free, near), free)
+            return climb_roughly(early, fit_at(early, *fit.model.nonlinear, free, near), free)
         joint, top, own = solution.predictor
         rest = kept(joint.thinned(_SEARCHED))
-        top = climb_roughly(rest, fit_at(rest, top.model.poles, top.model.delay, own), own)
+        top = climb_roughly(rest, fit_at(rest, *top.model.nonlinear, own), own)
         m = plant_of(top, rest, 0, free.limit, predicts=False)
         # Two integrators hardly differ; here six digits are enough.
         plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu], SOUND)
@@ -135,7 +134,7 @@ def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
 def _motion(samples: Samples, fit: Fit) -> Array:
     """Return the squares of what each input alone moves from sample to sample, (nu, ny)."""
     found, model = np.zeros((samples.nu, samples.ny)), fit.model
-    columns = columns_of(samples, model.poles, model.delay, direct=bool(model.D.any()),
+    columns = columns_of(samples, *model.nonlinear, direct=bool(model.D.any()),
                          turned=False, slopes=False)
     everything = errors_of(samples, model, columns)
     for j, squares in enumerate(found):
@@ -154,8 +153,7 @@ def _motion(samples: Samples, fit: Fit) -> Array:
 def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
     """Return the rms error that a model's own uncertainty lets expect on other samples, (ny,)."""
     rows, _, _ = jacobian(early, own, free)
-    there = replace(own, columns=columns_of(late, own.model.poles, own.model.delay,
-                                            direct=free.feedthrough))
+    there = replace(own, columns=columns_of(late, *own.model.nonlinear, direct=free.feedthrough))
     seen, _, _ = jacobian(late, there, free)
     moved = np.sum((seen @ orthonormal(rows, GAUGE)) ** 2, axis=1)
     squares, at = np.zeros(late.ny), 0

@@ -83,7 +83,7 @@ def as_likely(task: Task, samples: Samples, free: Free, found: PredictionFit,
     with suppress(np.linalg.LinAlgError):
         start = fit_at(thin, poles, found.found.fit.model.delay[:samples.nu], free)
         top = climb_roughly(thin, start, free)
-        near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
+        near = tried(samples, fit_at(samples, *top.model.nonlinear, free, top), free)
     return None if near is None or clearly and near.unexplained < UNEXPLAINED else likelier(
         task, samples, near, free, found, clearly)
 
@@ -224,7 +224,7 @@ def _as_it_simulates(task: Task, samples: Samples, found: PredictionFit, plant: 
         (*left_out(task, found.orders, fit.model.n), *at_bound(one.fit, plant.free)),
         plant=plant.matrices,
         rivals=_other_plants(task, samples, found, plant.free.limit),
-        doubt=doubt_of_direct(fit.model.poles, fit.model.delay, samples, plant.free,
+        doubt=doubt_of_direct(*fit.model.nonlinear, samples, plant.free,
                               task.settings.feedthrough),
         predictor=(found.samples, found.found.fit, found.free))
 

@@ -209,8 +209,7 @@ def _where_known(task: Task, samples: Samples, found: dict[int, Tried],
         if np.min(known.counts.sum(axis=0)) > found[chosen].parameters:
             thin, rest = known.thinned(SEARCHED), {}
             for n, one in up_to.items():
-                model = one.fit.model
-                rest[n] = replace(roughly(thin, model.poles, model.delay, free, one.fit),
+                rest[n] = replace(roughly(thin, *one.fit.model.nonlinear, free, one.fit),
                                   pointed=one.pointed, drifting=one.drifting, found=one.found)
             if choose(rest) < chosen:
                 return known, {n: climbed(known, one, free) for n, one in rest.items()}

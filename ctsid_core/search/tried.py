@@ -116,10 +116,10 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS,
 
     From `others`, poles and dead times, if one of these is likelier, numbers paid.
     """
-    start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    for poles, delay in others:
+    start = fit_at(samples, *one.fit.model.nonlinear, free, one.fit)
+    for other in others:
         with suppress(np.linalg.LinAlgError):
-            start = min(start, fit_at(samples, poles, delay, free), key=lambda fit: (
+            start = min(start, fit_at(samples, *other, free), key=lambda fit: (
                 fit.cost + price(samples) * parameters(samples, fit, free)))
     return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
@@ -134,7 +134,7 @@ def roughly(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
 
 def fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
     """Return the best model of other samples, or with D, at a model's poles and dead times."""
-    return tried(samples, fit_at(samples, model.poles, model.delay, free, near), free)
+    return tried(samples, fit_at(samples, *model.nonlinear, free, near), free)
 
 
 def smaller_models(samples: Samples, found: dict[int, Tried], best: Tried,
