@@ -97,7 +97,8 @@ def test_ctrl_c_ends_the_processes_and_keeps_what_is_joined(path, alone):
         with pytest.raises(KeyboardInterrupt):
             run.run(press)
     assert multiprocessing.active_children() == []
-    assert 3 <= len(run.results) < 6
+    # On a busy machine the processes may be done with all when this one comes to press it.
+    assert 3 <= len(run.results) <= 6
     for one, two in zip(run.results, alone.results, strict=False):
         assert to_json(one.estimate) == to_json(two.estimate)
 
