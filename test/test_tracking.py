@@ -431,17 +431,40 @@ def test_successive_models_that_simulate_a_window_apart_are_not_good(steady, apa
 
 def test_how_far_apart_models_are_is_what_a_user_simulates(steady):
     """A gain of 0.8 on the motion that is not free: offsets and states are fitted."""
-    good = identify(steady[0], SETTINGS)
+    good, record = identify(steady[0], SETTINGS), steady[0]
+
+    def apart(model, by_predictions=False):
+        past = tracking._Past(model=model, by_predictions=by_predictions)
+        return tracking._apart(past, good, record, tracking._simulated(model, record))[0]
     weaker = replace(good.model, B=0.8 * good.model.B)
-    apart = tracking._apart(tracking._Past(model=weaker), good, steady[0])
-    y = steady[0].outputs[0].values[steady[0].outputs[0].rows(steady[0].start, steady[0].end)]
-    one, other = (simulation(m, steady[0], trim='refit').y_hat for m in (good.model, weaker))
-    assert apart[0] == pytest.approx(np.sqrt(np.mean((one - other) ** 2)) / y.std(), rel=1e-9)
-    assert 0.1 < apart[0] < 0.25
-    # In other states, and with a mode that nothing sees, it is the same model.
-    same = replace(good.model.transform([[2.0, 1.0], [0.0, 3.0]]), output_names=('y',))
-    assert tracking._apart(tracking._Past(model=same), good, steady[0])[0] < 1e-8
-    assert np.isnan(tracking._apart(tracking._Past(), good, steady[0])).all()
+    y = record.outputs[0].values[record.outputs[0].rows(record.start, record.end)]
+    one, other = (simulation(m, record, trim='refit').y_hat for m in (good.model, weaker))
+    assert apart(weaker) == pytest.approx(np.sqrt(np.mean((one - other) ** 2)) / y.std(), rel=1e-9)
+    assert 0.1 < apart(weaker) < 0.25
+    # In other states it is the same model.
+    assert apart(good.model.transform([[2.0, 1.0], [0.0, 3.0]])) < 1e-8
+    assert np.isnan(apart(None))
+    assert np.isnan(apart(weaker, by_predictions=True))
+
+
+def test_models_are_as_far_apart_as_outputs_at_their_own_stamps_say(steady):
+    """Of one every third sample, and of a second one that has others."""
+    good, record = identify(steady[0], SETTINGS), steady[0]
+    y, = record.outputs
+    seldom = replace(record, outputs=(y.of(np.arange(len(y.time)) % 3 == 0),))
+    weaker = replace(good.model, B=0.8 * good.model.B)
+    past = tracking._Past(model=weaker)
+    whole, thin = (tracking._apart(past, good, one, tracking._simulated(weaker, one))[0]
+                   for one in (record, seldom))
+    assert thin == pytest.approx(whole, rel=0.1)
+    model = replace(good.model, C=np.vstack((good.model.C, good.model.C)), D=np.zeros((2, 1)),
+                    K=np.zeros((2, 2)), y_trim=np.zeros(2), noise=None,
+                    output_names=('y', 'z'), output_units=('', ''))
+    both = replace(record, outputs=(y, seldom.outputs[0].of(
+        np.arange(len(seldom.outputs[0].time)) % 2 == 1)))
+    last = tracking._simulated(replace(model, B=0.8 * model.B), both)
+    found = tracking._apart(past, replace(good, model=model), both, last)
+    assert found == pytest.approx([whole, whole], rel=0.15)
 
 
 def late_lag(delay: float, duration: float) -> Record:
@@ -589,10 +612,9 @@ def test_what_nothing_was_held_out_of_is_good_if_all_new_outputs_are_simulated_w
 
 
 @pytest.mark.parametrize(('what', 'ratio'), [
-    ('nothing', 1.0), ('offset', 1.0), ('push', 1.0), ('gain', 9.0), ('gust', 4.9),
-    ('gust again', 1.0)])
+    ('nothing', 1.0), ('offset', 1.0), ('gain', 9.0), ('gust', 7.0), ('gust again', 1.0)])
 def test_new_data_are_compared_with_stretches_as_long_before_them(what, ratio):
-    """What a state and offsets of its own explain is no change, nor a gust as large as before."""
+    """What an offset of its own explains is no change, nor a gust as large as one before."""
     rng = np.random.default_rng(0)
     times, t_u = np.arange(0.0, 12.0, 0.01), np.arange(0.0, 12.0, 0.02)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)[:, np.newaxis]
@@ -602,13 +624,76 @@ def test_new_data_are_compared_with_stretches_as_long_before_them(what, ratio):
     y = held_response(lag, t_u, u, times)[:, 0]
     y *= np.where(new & (what == 'gain'), 1.5, 1.0)
     y += 0.3 * (new & (what == 'offset')) + load * (what in ('gust', 'gust again'))
-    y += np.where(new & (what == 'push'), np.exp(-2.0 * (times - 10.0)), 0.0)
     y += 0.02 * rng.standard_normal(len(times))
     record = Record.from_arrays(t_u, u, times, y[:, np.newaxis], input_hold='zoh')
     past = tracking._Past(model=StateSpace(lag.A, lag.B, lag.C), end_ns=10 * S)
-    test = tracking._fresh(past, record.between(0.1, 12.0))
+    window = record.between(0.1, 12.0)
+    test = tracking._fresh(past, window, tracking._simulated(past.model, window))
     assert (test.fit[0] > 95.0) == (what == 'nothing')
     assert test.ratio[0] == pytest.approx(ratio, rel=0.35)
+
+
+def three_modes(gain, end, start_of_change, seed=0):
+    """Six states, 5 % of noise, and a gain that changes."""
+    rng = np.random.default_rng(seed)
+    A, B, C = np.zeros((6, 6)), np.zeros((6, 1)), np.zeros((1, 6))
+    for k, omega in enumerate((2.0, 5.0, 9.0)):
+        A[2 * k:2 * k + 2, 2 * k:2 * k + 2] = [[0.0, 1.0], [-omega ** 2, -0.4 * omega]]
+        B[2 * k + 1], C[0, 2 * k] = omega, omega
+    times, t_u = np.arange(0.0, end, 0.02), np.arange(0.0, end, 0.02)
+    u = np.repeat(rng.choice([-1.0, 1.0], len(t_u) // 20 + 1), 20)[:len(t_u), np.newaxis]
+    changed = np.where(t_u[:, np.newaxis] >= start_of_change, gain, 1.0) * u
+    y = held_response(plant(A, B, C), t_u, changed, times)
+    y += 0.05 * y.std() * rng.standard_normal(y.shape)
+    return StateSpace(A, B, C), Record.from_arrays(t_u, u, times, y, input_hold='zoh')
+
+
+@pytest.mark.parametrize(('gain', 'at_least'), [(1.0, False), (1.5, True)])
+@pytest.mark.parametrize('seed', range(5))
+def test_a_gain_that_changes_shows_in_a_tenth_of_a_window_of_many_states(gain, at_least, seed):
+    """Six states of its own would imitate it."""
+    model, record = three_modes(gain, 20.0, 19.0, seed)
+    window = record.between(10.0, 20.0)
+    test = tracking._fresh(tracking._Past(model=model, end_ns=19 * S), window,
+                           tracking._simulated(model, window))
+    assert (test.ratio[0] > 2.0) == at_least
+
+
+@pytest.mark.parametrize('epoch', [0.0, 1.7e9])
+@pytest.mark.parametrize('end', [8.0, 4.0, 9.7])
+def test_new_data_are_told_at_any_stamps(end, epoch):
+    """A fifth of a window, more than half, and a thirtieth, of which a tenth is compared."""
+    model, record = three_modes(1.0, 12.0, 99.0)
+    (u,), (y,) = record.inputs, record.outputs
+    late = replace(record, inputs=(replace(u, time=u.time + epoch),), outputs=(
+        replace(y, time=y.time + epoch),), start=epoch + 0.0, end=epoch + 10.0)
+    past = tracking._Past(model=model, end_ns=round((end + epoch) * S), error=np.array([0.1]))
+    test = tracking._fresh(past, late, tracking._simulated(model, late))
+    assert np.isfinite(test.ratio).all()
+    if end > 5.0:
+        assert test.ratio[0] == pytest.approx(1.0, abs=0.3)
+    early = replace(past, end_ns=round((epoch - 3.0) * S))
+    assert np.isfinite(tracking._fresh(early, late, tracking._simulated(model, late)).ratio).all()
+
+
+@pytest.mark.parametrize(('fit', 'ratio', 'grade'), [
+    (60.0, 1.9, 'GOOD'), (60.0, 2.1, 'WEAK'), (91.0, 2.1, 'GOOD'), (-50.0, np.nan, 'WEAK')])
+def test_new_data_that_are_simulated_badly_are_a_reason(steady, fit, ratio, grade):
+    good = identify(steady[0], SETTINGS)
+    found = tracking.in_sequence(good, *(np.array([x]) for x in (fit, ratio, 0.05)))
+    assert found.verdict.grade.name == grade
+    assert ('badly' in found.verdict.reason) == (grade == 'WEAK')
+
+
+def test_an_order_that_was_set_meanwhile_is_no_reason(steady):
+    tracker = Tracker(Settings(order=1))
+    before = tracker.take(steady[0]).estimate
+    tracker.settings = Settings(order=2)
+    found = tracker.take(steady[1]).estimate
+    assert 'of its motion apart' not in found.verdict.reason
+    assert np.isnan(found.verdict.apart).all()
+    assert before.model is None or before.model.n != found.model.n
+    assert np.isfinite(tracker.take(steady[2]).estimate.verdict.apart).all()
 
 
 def test_offsets_of_windows_apart_are_their_own():

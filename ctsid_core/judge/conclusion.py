@@ -17,6 +17,7 @@ from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller, holds, stamp_sensitivity
 from ctsid_core.judge.lead import STATES, WITHIN, lead_by_search, lead_of_outputs
+from ctsid_core.judge.offsets import jump_of_outputs
 from ctsid_core.judge.rules import NONE, UNCORRELATED, change_note, few_sines, judge, tested
 from ctsid_core.judge.unmoved import beside_rounding, rounding, stuck_outputs, unmoved_notes
 from ctsid_core.likelihood.noise_gain import with_noise
@@ -270,7 +271,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         at_once=tuple(np.ravel(at_once).tolist()),
         follows_at_once=solution.doubt is not None and solution.doubt[1] == DIRECT
         and never_rest([p.record for p in part.parts]), within=seen[2], drift=drift,
-        drifting=_drifting(part, drift),
+        drifting=_drifting(part, drift), jumped=_jumped(solution),
         faults=part.numbered([p.whole.faults for p in part.parts]))
 
 
@@ -370,6 +371,23 @@ def _where(part: Joint, change: Change) -> str:
     at = _share(part, change.record, change.share) * whole.recording.duration
     about = f'about {after_start(at)}'
     return by_clock(about, 0.0, name) if part.several else about
+
+
+def _jumped(solution: Solution) -> str:
+    """Return which output jumps by itself, how far and when, in words; empty if none does."""
+    if solution.simulated is None:
+        return ''
+    part, (samples, fit, _) = solution.part, solution.simulated
+    jump = jump_of_outputs(samples, fit)
+    if jump.record < 0:
+        return ''
+    own = part.parts[jump.record]
+    whole, output = own.whole, own.y[jump.output]
+    when = f'about {after_start(jump.time - whole.recording.start)}'
+    if part.several:
+        when = by_clock(when, 0.0, f'record {part.numbers[jump.record]}')
+    size = f'{jump.size * samples.size[jump.output]:.2g} {whole.output_units[output]}'.rstrip()
+    return f'output {whole.output_names[output]} jumps by {size} {when}'
 
 
 def _drifting(part: Joint, drift: Drift) -> str:

@@ -51,4 +51,5 @@ class Evidence:
     drifting: str = ''              # which of several records drifts
     doubt: Doubt | None = None      # what it looks like if a setting is not right
     wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it
+    jumped: str = ''                # which output jumps by itself, and when
     faults: tuple[str, ...] = ()    # of the samples, see `Record`

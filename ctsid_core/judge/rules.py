@@ -193,6 +193,10 @@ def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'the outputs, to {100 * e.distance_to_controller[j]:.0f} %: a controller holds the '
             f'plant where it is, and hardly anything else moves the input{late}; {first}move the '
             'set point (in a recording: take a part in which it moves).')
+    if e.jumped:
+        yield Remedy.PART, (
+            f'{_begun(e.jumped)}, and nothing else does: an offset of its sensor has jumped, or '
+            'something struck the robot; take a part of the data without that.')
 
 
 def _begun(text: str) -> str:
@@ -490,7 +494,8 @@ def _silences(silent: tuple[tuple[str, float], ...]) -> Iterator[tuple[Remedy, s
 
 def _well(fit: Array, ratio: Array) -> bool:
     """Return whether the previous model simulates well what is new, of outputs with enough."""
-    well, known = (ratio <= _FRESH_RATIO) | (fit >= _FRESH_FIT), np.isfinite(fit)
+    well = (ratio <= _FRESH_RATIO) & (fit >= EXPLAINED) | (fit >= _FRESH_FIT)
+    known = np.isfinite(fit)
     return bool(known.any() and well[known].all())
 
 
@@ -513,5 +518,3 @@ def _disagreements(names: tuple[str, ...], apart: Array) -> Iterator[tuple[Remed
         yield Remedy.WAIT, (
             f'This model and the previous one simulate output {names[i]} of this window '
             f'{_percent(float(apart[i]))} of its motion apart; {_WAIT}.')
-
-

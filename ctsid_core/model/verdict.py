@@ -178,11 +178,11 @@ class Verdict:
         the model, of the motion within a tenth of a record [%].
     fresh_ratio : ndarray, shape (ny,)
         Fresh error ratio: rms error of the previous model on the data that are new in this
-        window, over that on the worst stretch as long of its older data, states and offsets of
-        each their own.
+        window (the last tenth, if less is new), its mean apart, over that on the worst stretch as
+        long of its older data; or, if there is none, over that on the model's own window.
     apart : ndarray, shape (ny,)
         Rms difference of what this model and the previous one simulate of the window, over the
-        motion; NaN if there was none, or of models that predict.
+        motion; NaN if there was none, or either was found by predictions.
     agreement : Agreement or None
         With a second method; None if none was asked for.
     """

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -22,7 +21,7 @@ from scipy.optimize import linear_sum_assignment
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.identify import identify
 from ctsid_core.judge.rules import in_sequence, rejected_over_change
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, simulation
@@ -33,7 +32,8 @@ from ctsid_core.signals.gaps import silent_at_end
 from ctsid_core.signals.record import Record
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
-_STRETCH = 0.1        # of a window, at least, is simulated by itself: of less a state tells all
+_STRETCH = 0.1        # of a window, at least, are stretches whose errors are compared
+_ROUNDED = 1.0 + 1e-6  # stamps of today in seconds are rounded to a quarter of a microsecond
 EDGE = 1 / 40         # part of a window: half of the steps in which the time of a change is found
 _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
@@ -69,6 +69,8 @@ class _Past:
     reference: StateSpace | None = None
     model: StateSpace | None = None
     error: Array = field(default_factory=lambda: np.empty(0))   # (ny,): rms, of its simulation
+    settings: Settings | None = None    # that it was found with
+    by_predictions: bool = False
     actuators: tuple[Actuator, ...] = ()  # of the last GOOD one
     end_ns: int = 0
     rows: Rows = field(default_factory=Rows)
@@ -114,19 +116,22 @@ class Tracker:
     def _joined(self, past: _Past, settings: Settings, record: Record, estimate: Estimate,
                 cancelled: Callable[[], bool] | None = None) -> Tracked:
         clean = without_corrupt(record, settings)[0]
-        test = _fresh(past, clean)
+        last = _simulated(past.model, clean)
+        test = _fresh(past, clean, last)
         estimate = _with_actuators(past, settings, record, estimate, cancelled)
         if not record.faults:  # else the samples changed, not the plant
             estimate = self._reject_straddling(estimate)
-        estimate = in_sequence(estimate, test.fit, test.ratio, _apart(past, estimate, clean),
-                               silent_at_end(record))
+        alike = last if past.settings == settings else None     # else others may be wanted
+        estimate = in_sequence(estimate, test.fit, test.ratio,
+                               _apart(past, estimate, clean, alike), silent_at_end(record))
         model = estimate.model
         if model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
         estimate, now = _following(past, estimate, model, 2 * np.pi / record.duration)
         if self._past is past:  # else somebody has called reset() in the meantime
-            self._past = replace(now, error=_error(estimate, clean))
+            self._past = replace(now, error=_error(estimate, clean), settings=settings,
+                                 by_predictions=estimate.by_predictions)
         rows = now.rows
         return Tracked(estimate, now.realisation, rows.identities, rows.eigenvalues,
                        estimate.pole_std[list(rows.order)], test.fit, test.start_ns, test.end_ns)
@@ -233,20 +238,28 @@ def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Arra
     return np.asarray(estimate.pole_std[linear_sum_assignment(away)[1]])
 
 
-def _apart(past: _Past, estimate: Estimate, record: Record) -> Array:
+def _apart(past: _Past, estimate: Estimate, record: Record, last: Validation | None) -> Array:
     """Return how far apart a model and the last one simulate a record, see `Verdict.apart`."""
-    model, nothing = estimate.model or estimate.rejected_model, np.full(record.ny, np.nan)
-    if model is None or past.model is None or estimate.by_predictions:
+    nothing = np.full(record.ny, np.nan)
+    if estimate.model is None or last is None or estimate.by_predictions or past.by_predictions:
         return nothing
-    try:
-        one, other = (simulation(m, record, trim='refit') for m in (model, past.model))
-    except np.linalg.LinAlgError:
+    own = _simulated(estimate.model, record)
+    if own is None:
         return nothing
     # Where what lies between input and model is another, one may be known later.
-    _, *rows = np.intersect1d(one.times, other.times, return_indices=True)
-    y, own, last = one.y[rows[0]], one.y_hat[rows[0]], other.y_hat[rows[1]]
+    _, *rows = np.intersect1d(own.times, last.times, return_indices=True)
+    y = own.y[rows[0]]
     with np.errstate(over='ignore', invalid='ignore'):
-        return _rms(np.where(np.isnan(y), y, own - last)) / _motion(y)
+        away = np.nan_to_num(own.y_hat[rows[0]] - last.y_hat[rows[1]], nan=np.inf)
+        return _rms(np.where(np.isnan(y), y, away)) / _motion(y)
+
+
+def _simulated(model: StateSpace | None, record: Record) -> Validation | None:
+    """Return what a model simulates of a record with offsets of its own, if it can."""
+    try:
+        return None if model is None else simulation(model, record, trim='refit')
+    except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
+        return None
 
 
 @dataclass(frozen=True)
@@ -259,50 +272,50 @@ class _Test:
     end_ns: int = 0
 
 
-def _fresh(past: _Past, record: Record) -> _Test:
+def _fresh(past: _Past, record: Record, last: Validation | None) -> _Test:
     """Test the last model on the part of a record that is later than its own window."""
     start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
     none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
-    if past.model is None or past.end_ns >= end_ns:
+    if past.model is None or last is None or past.end_ns >= end_ns:
         return none
-    seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    # Stretches as long as what is new, that first. What disturbs a plant varies from one to the
-    # next, and is no change of it: each has a state and offsets of its own.
-    length = max(record.end - max(seen, record.start), _STRETCH * record.duration)
-    ends = np.arange(record.end, record.start - _SAME_STAMP, -length).tolist()
     try:
         found = simulation(past.model, record)
-        errors = [_alone(past.model, record, start, end) for end, start in pairwise(ends)]
-    except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
+    except np.linalg.LinAlgError:
         return none
-    error = _errors(found, found.times > seen)
-    fit = 100.0 * (1.0 - error / _motion(found.y))
+    seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
+    fit = 100.0 * (1.0 - _rms(_errors(found)[found.times > seen]) / _motion(found.y))
     if np.isnan(fit).all():
         return none
-    # Where no older data are left that are as long, the model's own window tells.
-    new, *old = errors
+    # Stretches as long as what is new, that last. What disturbs a plant slowly, or moves the zero
+    # of a sensor, is no change of it: each has offsets of its own; and it varies from one to the
+    # next. Where no older data are left that are as long, the model's own window tells.
+    length = max(record.end - max(seen, record.start), _STRETCH * record.duration)
+    count = max(int(_ROUNDED * record.duration / length), 1)
+    edges = record.end - length * np.arange(count, 0, -1)
+    *old, new = (_rms(own - _mean(own)) for own in np.split(
+        _errors(last), np.searchsorted(last.times, edges))[1:])
     before = reduce(np.fmax, old) if old else past.error
     ratio = np.where(new > 0.0, new, np.nan) / np.where(before > 0.0, before, np.nan)
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _alone(model: StateSpace, record: Record, start: float, end: float) -> Array:
-    """Return the rms error with which a model simulates each output of a part of a record."""
-    found = simulation(model, replace(record, start=max(start, record.start), end=end),
-                       trim='refit')
-    return _errors(found, np.ones(len(found.times), dtype=bool))
-
-
 def _motion(y: Array) -> Array:
     """Return the standard deviation of each output, where known; NaN if it does not move."""
-    found = np.array([np.std(own[~np.isnan(own)]) if np.isfinite(own).any() else 0.0
-                      for own in y.T])
-    return np.where(found > 0.0, found, np.nan)
+    known = [own[~np.isnan(own)] for own in y.T]
+    return np.array([np.std(own) if len(own) and np.ptp(own) > 0.0 else np.nan for own in known])
 
 
-def _errors(found: Validation, rows: Mask) -> Array:
-    """Return the rms error of each output on some rows, where known; NaN for too few."""
-    return _rms(np.where(rows[:, np.newaxis], found.y - found.y_hat, np.nan))
+def _errors(found: Validation) -> Array:
+    """Return the errors of each output, NaN where it has no sample."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        return np.asarray(found.y - found.y_hat)
+
+
+def _mean(values: Array) -> Array:
+    """Return the mean of each column, where known."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        return np.asarray(np.nansum(values, axis=0) / np.maximum(
+            np.sum(~np.isnan(values), axis=0), 1))
 
 
 def _rms(values: Array) -> Array:

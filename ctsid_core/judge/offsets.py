@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whether an output jumps by itself.
+
+A plant moves on from one sample to the next, and so does its simulation. Where the offset of a
+sensor jumps (an estimator is reset, an encoder slips, a position is corrected), or something
+strikes the robot, an output does not, and the errors jump as far, by more than anywhere else. A
+plant that changes jumps nowhere.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ctsid_core.likelihood.output_error import Fit
+from ctsid_core.likelihood.residuals import residuals
+from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.likelihood.state_space import jumps_of
+from ctsid_core.linear.types import Array
+
+_MEAN = 5             # samples before, and after, whose means tell how far errors jump
+_ALONE = 2.2          # times as far as anywhere else (offsets of 0.4 of the motion and more, in
+                      # gusts of up to 0.4: 2.4 to 12; where none jumps 2.0 at most), ...
+_MATTERS = 0.2        # ... and of the motion
+_SLOWER = 3.0         # times the usual interval, that samples are apart at most
+_EDGE = 0.02          # of a record: so soon nobody knows what inputs have done before it
+
+
+class OutputJump(NamedTuple):
+    """Where an output jumps by itself."""
+
+    record: int = -1        # its place; -1 if none does
+    output: int = -1
+    time: float = 0.0       # [s]
+    size: float = 0.0       # over the size of the output
+
+
+def jump_of_outputs(samples: Samples, fit: Fit) -> OutputJump:
+    """Return the largest jump of an output that a model of these records does not explain."""
+    found = OutputJump()
+    for place, (record, own) in enumerate(zip(samples.records, residuals(samples, fit),
+                                              strict=True)):
+        for s, errors in zip(record.streams, own, strict=True):
+            if len(s.times) < 2 * _MEAN + 2:
+                continue
+            after = np.arange(_MEAN, len(s.times) - _MEAN + 1)
+            total = np.cumsum(np.vstack((0.0 * errors[:1], errors)), axis=0)
+            far = (total[after + _MEAN] - 2.0 * total[after] + total[after - _MEAN]) / _MEAN
+            span = s.times[after + _MEAN - 1] - s.times[after - _MEAN]
+            soon = np.abs(s.times[after] - 0.5 * (record.start + record.end)) > (
+                0.5 - _EDGE) * (record.end - record.start)
+            far[soon | (span > _SLOWER * np.median(span))] = 0.0     # or samples were lost
+            for k, each in enumerate(np.abs(far).T):
+                at = int(np.argmax(each))
+                elsewhere = np.max(each[np.abs(after - after[at]) > _MEAN], initial=0.0)
+                if each[at] > max(_MATTERS, _ALONE * elsewhere, abs(found.size)) and not _stepped(
+                        record, fit.model.delay, *s.times[after[at] + [-_MEAN, _MEAN - 1]]):
+                    near = slice(after[at] - _MEAN, after[at] + _MEAN)
+                    jumps = np.diff(errors[near, k]) * np.sign(far[at, k])
+                    found = OutputJump(place, s.channels.start + k, float(
+                        s.times[near][1 + int(np.argmax(jumps))]), float(far[at, k]))
+    return found
+
+
+def _stepped(record: RecordSamples, delay: Array, start: float, end: float) -> bool:
+    """Return whether the one large step of an input acts then: an output may jump with it."""
+    for j, late in enumerate(delay.tolist()):
+        stamps, jumps = jumps_of(record.inputs, j)
+        then = (stamps + late > start) & (stamps + late <= end)
+        if np.max(np.abs(jumps[then]), initial=0.0) > 2.0 * np.max(
+                np.abs(jumps[~then]), initial=0.0):
+            return True
+    return False

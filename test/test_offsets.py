@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outputs that jump by themselves: their sensor's offset does, or something strikes the robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+from marks import slow
+import numpy as np
+from plants import held_response, plant
+import pytest
+from scipy.signal import lfilter
+
+from ctsid_core.identify import identify
+from ctsid_core.model.verdict import Grade, Remedy
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record, Signal
+
+LAG = plant([[-2.0]], [[2.0]], [[1.0]])
+NAMED = re.compile(r'Output angle jumps by (\S+) rad about (\S+) s after the start of the window')
+
+
+def flight(seed=0, *, jump=0.0, at=7.3, gusts=0.0, direct=0.0, step=False):
+    """A lag of 0.5 s, moved every half second or once, with an output that jumps at some time."""
+    rng = np.random.default_rng(seed)
+    t, t_u = np.arange(0.0, 15.0, 0.0123), np.arange(-1.0, 15.0, 0.02)
+    u = np.repeat(rng.uniform(-1.0, 1.0, len(t_u) // 25 + 1), 25)[:len(t_u), np.newaxis]
+    u = np.where(t_u >= at, 1.0, 0.0)[:, np.newaxis] if step else u
+    moving = plant(LAG.A, LAG.B, LAG.C, [[direct]])
+    y = held_response(moving, t_u, u, t)[:, 0]
+    wander = lfilter([1.0], [1.0, -0.98], rng.standard_normal(len(t_u)))[:, np.newaxis]
+    moved = held_response(LAG, t_u, wander, t)[:, 0]        # of 1 s, at the input
+    y += (0.02 * rng.standard_normal(len(t)) + gusts * moved / moved.std()) * y.std()
+    y += jump * (t >= at)
+    return Record((Signal(t_u, u, 'zoh', names=('stick',)),), (
+        Signal(t, y[:, np.newaxis], names=('angle',), units=('rad',)),), 0.0, 14.9)
+
+
+@pytest.mark.parametrize(('jump', 'gusts'), [(0.2, 0.2), *slow(
+    (-0.2, 0.2), (0.3, 0.4), (0.12, 0.0), (2.0, 0.1))])
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
+def test_an_offset_that_jumps_is_named_with_its_time(jump, gusts, seed):
+    """Else a model of it is GOOD, or the plant has changed, or is not linear, or drifts."""
+    record = flight(seed, jump=jump, gusts=gusts)
+    verdict = identify(record, Settings(feedthrough=False)).verdict
+    said = NAMED.match(verdict.reason)
+    assert said, verdict.reason
+    assert verdict.grade is not Grade.GOOD
+    assert verdict.remedy is Remedy.PART
+    # A few samples beside it may have been taken for corrupt ones.
+    assert float(said[1]) == pytest.approx(jump, rel=0.3)
+    assert 7.25 < float(said[2]) < 7.45
+    for part in (replace(record, end=7.2), record.between(7.5, 14.9)):
+        assert 'jumps by' not in identify(part, Settings(feedthrough=False)).verdict.reason
+
+
+@pytest.mark.parametrize('gusts', [0.0, *slow(0.2, 0.4)])
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
+def test_outputs_that_jump_nowhere_are_not_named(gusts, seed):
+    said = identify(flight(seed, gusts=gusts), Settings(feedthrough=False)).verdict.reason
+    assert 'jumps by' not in said
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
+def test_an_output_that_jumps_with_its_input_does_not_jump_by_itself(seed):
+    """What follows at once, though D is not allowed: a single step, and many."""
+    for step in (True, False):
+        record = flight(seed, direct=0.5, step=step)
+        said = identify(record, Settings(feedthrough=False, order=1, delay=0.0)).verdict.reason
+        assert 'jumps by' not in said
+        assert 'jumps by' not in identify(record).verdict.reason
+
+
+def test_samples_that_were_lost_are_no_jump():
+    record = flight(gusts=0.2)
+    y, = record.outputs
+    lost = y.of((y.time < 5.0) | (y.time > 6.0))
+    said = identify(replace(record, outputs=(lost,)), Settings(feedthrough=False)).verdict.reason
+    assert 'jumps by' not in said
+
+
+def test_of_several_records_the_one_that_jumps_is_named():
+    records = [flight(0), flight(1, jump=0.2)]
+    verdict = identify(records, Settings(feedthrough=False)).verdict
+    assert re.search(r'about 7\.[34] s after the start of record 2', verdict.reason)
