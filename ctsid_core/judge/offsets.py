@@ -24,6 +24,7 @@ _MEAN = 5             # samples before, and after, whose means tell how far erro
 _ALONE = 2.2          # times as far as anywhere else (offsets of 0.4 of the motion and more, in
                       # gusts of up to 0.4: 2.4 to 12; where none jumps 2.0 at most), ...
 _MATTERS = 0.2        # ... and of the motion
+_AT_ONCE = 0.7        # of it from one sample to the next: what is pushed moves on
 _SLOWER = 3.0         # times the usual interval, that samples are apart at most
 _EDGE = 0.02          # of a record: so soon nobody knows what inputs have done before it
 
@@ -55,12 +56,13 @@ def jump_of_outputs(samples: Samples, fit: Fit) -> OutputJump:
             for k, each in enumerate(np.abs(far).T):
                 at = int(np.argmax(each))
                 elsewhere = np.max(each[np.abs(after - after[at]) > _MEAN], initial=0.0)
-                if each[at] > max(_MATTERS, _ALONE * elsewhere, abs(found.size)) and not _stepped(
-                        record, fit.model.delay, *s.times[after[at] + [-_MEAN, _MEAN - 1]]):
-                    near = slice(after[at] - _MEAN, after[at] + _MEAN)
-                    jumps = np.diff(errors[near, k]) * np.sign(far[at, k])
+                near = slice(after[at] - _MEAN, after[at] + _MEAN)
+                steps = np.diff(errors[near, k]) * np.sign(far[at, k])
+                if each[at] > max(_MATTERS, _ALONE * elsewhere, abs(found.size)) \
+                        and np.max(steps) > _AT_ONCE * each[at] \
+                        and not _stepped(record, fit.model.delay, *s.times[near][[0, -1]]):
                     found = OutputJump(place, s.channels.start + k, float(
-                        s.times[near][1 + int(np.argmax(jumps))]), float(far[at, k]))
+                        s.times[near][1 + int(np.argmax(steps))]), float(far[at, k]))
     return found
 
 
