@@ -600,7 +600,8 @@ def test_spikes_of_the_window_of_a_model_are_none_of_its_errors():
 
 @pytest.mark.parametrize(('fit', 'ratio', 'grade'), [
     ((95.0, 60.0), (np.nan, np.nan), 'WEAK'), ((95.0, 60.0), (1.1, 1.2), 'GOOD'),
-    ((95.0, np.nan), (1.1, np.nan), 'GOOD'), ((np.nan, np.nan), (np.nan, np.nan), 'WEAK')])
+    ((95.0, np.nan), (1.1, np.nan), 'GOOD'), ((95.0, 20.0), (1.1, 1.0), 'WEAK'),
+    ((np.nan, np.nan), (np.nan, np.nan), 'WEAK')])
 def test_what_nothing_was_held_out_of_is_good_if_all_new_outputs_are_simulated_well(
         steady, fit, ratio, grade):
     """An output may be too seldom sampled to tell."""
@@ -660,9 +661,9 @@ def test_a_gain_that_changes_shows_in_a_tenth_of_a_window_of_many_states(gain, a
 
 
 @pytest.mark.parametrize('epoch', [0.0, 1.7e9])
-@pytest.mark.parametrize('end', [8.0, 4.0, 9.7])
+@pytest.mark.parametrize('end', [8.0, 5.0, 4.0, 9.7])
 def test_new_data_are_told_at_any_stamps(end, epoch):
-    """A fifth of a window, more than half, and a thirtieth, of which a tenth is compared."""
+    """A fifth of a window, half and more, and a thirtieth, of which a tenth is compared."""
     model, record = three_modes(1.0, 12.0, 99.0)
     (u,), (y,) = record.inputs, record.outputs
     late = replace(record, inputs=(replace(u, time=u.time + epoch),), outputs=(
@@ -670,7 +671,7 @@ def test_new_data_are_told_at_any_stamps(end, epoch):
     past = tracking._Past(model=model, end_ns=round((end + epoch) * S), error=np.array([0.1]))
     test = tracking._fresh(past, late, tracking._simulated(model, late))
     assert np.isfinite(test.ratio).all()
-    if end > 5.0:
+    if end >= 5.0:
         assert test.ratio[0] == pytest.approx(1.0, abs=0.3)
     early = replace(past, end_ns=round((epoch - 3.0) * S))
     assert np.isfinite(tracking._fresh(early, late, tracking._simulated(model, late)).ratio).all()
