@@ -21,6 +21,7 @@ from ctsid_core.likelihood.state_space import jumps_of
 from ctsid_core.linear.types import Array
 
 _MEAN = 5             # samples before, and after, whose means tell how far errors jump
+_FEWEST = 20          # so many times them tell what else there is, at least
 _ALONE = 2.2          # times as far as anywhere else (offsets of 0.4 of the motion and more, in
                       # gusts of up to 0.4: 2.4 to 12; where none jumps 2.0 at most), ...
 _MATTERS = 0.2        # ... and of the motion
@@ -44,7 +45,7 @@ def jump_of_outputs(samples: Samples, fit: Fit) -> OutputJump:
     for place, (record, own) in enumerate(zip(samples.records, residuals(samples, fit),
                                               strict=True)):
         for s, errors in zip(record.streams, own, strict=True):
-            if len(s.times) < 2 * _MEAN + 2:
+            if len(s.times) < _FEWEST * _MEAN:
                 continue
             after = np.arange(_MEAN, len(s.times) - _MEAN + 1)
             total = np.cumsum(np.vstack((0.0 * errors[:1], errors)), axis=0)
