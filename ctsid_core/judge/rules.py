@@ -63,8 +63,10 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
     weak = ((Status.OK, *one) for one in _weaknesses(evidence))
     for status, remedy, reason in chain(_rejections(evidence), weak):
-        if (fault := next(_faults(evidence), None)) and status in _FAULTY:
-            remedy, reason = fault
+        fault = next(_faults(evidence), None)
+        if status in _FAULTY and (fault or evidence.jumped):
+            remedy, reason = fault or (Remedy.PART, (
+                f'{_begun(_jumps(evidence))}; take a part of the data without that.'))
         given = evidence.doubt is not None and evidence.doubt[1] in GIVEN
         # Noise that a controller adds to its command looks like another hold.
         noisy = fault and evidence.doubt and OTHER_HOLD in evidence.doubt[1]
@@ -163,7 +165,7 @@ def _drift(e: Evidence) -> str:
 
 
 def change_note(e: Evidence, reason: str) -> tuple[str, ...]:
-    """Return sentences on a small change of the plant and a drift, if not the reason is one."""
+    """Return sentences on what changes, drifts or jumps a little, if not the reason is one."""
     notes = []
     if e.change.cost > NOTED and not e.change.pushed:
         notes.append(f'perhaps the plant changed a little {e.where}: there one model misses '
@@ -171,6 +173,8 @@ def change_note(e: Evidence, reason: str) -> tuple[str, ...]:
                      'is accepted)')
     if e.drift.cost > NOTED and _drift(e)[1:] not in reason:
         notes.append(f'perhaps {_drift(e)}')
+    if e.jumped and _jumps(e)[1:] not in reason:
+        notes.append(_jumps(e))
     return tuple(notes)
 
 
@@ -193,10 +197,12 @@ def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'the outputs, to {100 * e.distance_to_controller[j]:.0f} %: a controller holds the '
             f'plant where it is, and hardly anything else moves the input{late}; {first}move the '
             'set point (in a recording: take a part in which it moves).')
-    if e.jumped:
-        yield Remedy.PART, (
-            f'{_begun(e.jumped)}, and nothing else does: an offset of its sensor has jumped, or '
-            'something struck the robot; take a part of the data without that.')
+
+
+def _jumps(e: Evidence) -> str:
+    """Return that an output jumps by itself, in words."""
+    return (f'{e.jumped}, and nothing else does: an offset of its sensor has jumped, or '
+            'something struck the robot')
 
 
 def _begun(text: str) -> str:
