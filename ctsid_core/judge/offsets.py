@@ -17,7 +17,7 @@ import numpy as np
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
-from ctsid_core.likelihood.state_space import jumps_of
+from ctsid_core.likelihood.state_space import input_jumps, mean_around
 from ctsid_core.linear.types import Array
 
 _MEAN = 5             # samples before, and after, whose means tell how far errors jump
@@ -44,33 +44,38 @@ def jump_of_outputs(samples: Samples, fit: Fit) -> OutputJump:
     found = OutputJump()
     for place, (record, own) in enumerate(zip(samples.records, residuals(samples, fit),
                                               strict=True)):
-        for s, errors in zip(record.streams, own, strict=True):
-            if len(s.times) < _FEWEST * _MEAN:
-                continue
-            after = np.arange(_MEAN, len(s.times) - _MEAN + 1)
-            total = np.cumsum(np.vstack((0.0 * errors[:1], errors)), axis=0)
-            far = (total[after + _MEAN] - 2.0 * total[after] + total[after - _MEAN]) / _MEAN
-            span = s.times[after + _MEAN - 1] - s.times[after - _MEAN]
-            soon = np.abs(s.times[after] - 0.5 * (record.start + record.end)) > (
-                0.5 - _EDGE) * (record.end - record.start)
-            far[soon | (span > _SLOWER * np.median(span))] = 0.0     # or samples were lost
-            for k, each in enumerate(np.abs(far).T):
-                at = int(np.argmax(each))
-                elsewhere = np.max(each[np.abs(after - after[at]) > _MEAN], initial=0.0)
-                near = slice(after[at] - _MEAN, after[at] + _MEAN)
-                steps = np.diff(errors[near, k]) * np.sign(far[at, k])
-                if each[at] > max(_MATTERS, _ALONE * elsewhere, abs(found.size)) \
-                        and np.max(steps) > _AT_ONCE * each[at] \
-                        and not _stepped(record, fit.model.delay, *s.times[near][[0, -1]]):
-                    found = OutputJump(place, s.channels.start + k, float(
-                        s.times[near][1 + int(np.argmax(steps))]), float(far[at, k]))
+        for s, each in zip(record.streams, own, strict=True):
+            for k, errors in enumerate(each.T):
+                at, size = _standing_out(record, s.times, errors)
+                if abs(size) > abs(found.size) and not _stepped(
+                        record, fit.model.delay, *s.times[[at - _MEAN, at + _MEAN - 1]]):
+                    steps = np.diff(errors[at - _MEAN:at + _MEAN]) * np.sign(size)
+                    if np.max(steps) > _AT_ONCE * abs(size):
+                        time = s.times[at - _MEAN + 1 + int(np.argmax(steps))]
+                        found = OutputJump(place, s.channels.start + k, float(time), size)
     return found
+
+
+def _standing_out(record: RecordSamples, times: Array, errors: Array) -> tuple[int, float]:
+    """Return before which sample errors jump furthest, and how far; 0 if as far elsewhere."""
+    if len(errors) < _FEWEST * _MEAN:
+        return 0, 0.0
+    at, mean = np.arange(_MEAN, len(errors) - _MEAN + 1), mean_around(errors, _MEAN // 2)
+    far = mean[at + _MEAN // 2] - mean[at - _MEAN // 2 - 1]
+    span = times[at + _MEAN - 1] - times[at - _MEAN]
+    soon = np.abs(times[at] - 0.5 * (record.start + record.end)) > (
+        0.5 - _EDGE) * (record.end - record.start)
+    far[soon | (span > _SLOWER * np.median(span))] = 0.0        # or samples were lost
+    best = int(np.argmax(np.abs(far)))
+    elsewhere = np.max(np.abs(far[np.abs(at - at[best]) > _MEAN]), initial=0.0)
+    alone = abs(far[best]) > max(_MATTERS, _ALONE * elsewhere)
+    return int(at[best]), float(far[best]) * alone
 
 
 def _stepped(record: RecordSamples, delay: Array, start: float, end: float) -> bool:
     """Return whether the one large step of an input acts then: an output may jump with it."""
     for j, late in enumerate(delay.tolist()):
-        stamps, jumps = jumps_of(record.inputs, j)
+        stamps, jumps = input_jumps(record.inputs, j)
         then = (stamps + late > start) & (stamps + late <= end)
         if np.max(np.abs(jumps[then]), initial=0.0) > 2.0 * np.max(
                 np.abs(jumps[~then]), initial=0.0):

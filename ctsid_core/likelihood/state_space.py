@@ -338,7 +338,7 @@ def _read_alike(samples: Samples, fit: Fit) -> Array:
     for j in range(samples.nu):
         passed: list[list[tuple[Array, Array]]] = [[], []]
         for r, record in enumerate(samples.records):
-            stamps, jumps = jumps_of(record.inputs, j)
+            stamps, jumps = input_jumps(record.inputs, j)
             for s in record.streams:
                 effect = jumps ** 2 * np.sum(model.D[s.channels, j] ** 2 / np.maximum(
                     fit.power[r, s.channels], ROUNDING))
@@ -359,7 +359,7 @@ def _until_seen(change: Array, effect: Array) -> float:
     return float(change[order[seen[0]]]) if len(seen) else 0.0
 
 
-def jumps_of(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
+def input_jumps(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
     """Return the stamps of an input, and by how much it jumps there; none if it is not held."""
     s, own = next((s, own) for s, own in placed(signals) if place < own.stop)
     return (s.time[1:], np.diff(s.values[:, place - own.start])) if s.hold == 'zoh' else \

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -254,10 +255,11 @@ def _apart(past: _Past, estimate: Estimate, record: Record, last: Validation | N
         return _rms(np.where(np.isnan(y), y, away)) / _motion(y)
 
 
-def _simulated(model: StateSpace | None, record: Record) -> Validation | None:
-    """Return what a model simulates of a record with offsets of its own, if it can."""
+def _simulated(model: StateSpace | None, record: Record,
+               trim: Literal['model', 'refit'] = 'refit') -> Validation | None:
+    """Return what a model, if there is one, simulates of a record; offsets are fitted to it."""
     try:
-        return None if model is None else simulation(model, record, trim='refit')
+        return None if model is None else simulation(model, record, trim=trim)
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return None
 
@@ -276,11 +278,8 @@ def _fresh(past: _Past, record: Record, last: Validation | None) -> _Test:
     """Test the last model on the part of a record that is later than its own window."""
     start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
     none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
-    if past.model is None or last is None or past.end_ns >= end_ns:
-        return none
-    try:
-        found = simulation(past.model, record)
-    except np.linalg.LinAlgError:
+    found = _simulated(past.model, record, 'model') if past.end_ns < end_ns else None
+    if found is None or last is None:
         return none
     seen = (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
     fit = 100.0 * (1.0 - _rms(_errors(found)[found.times > seen]) / _motion(found.y))
