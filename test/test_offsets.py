@@ -13,6 +13,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ctsid_core.identify import identify
+from ctsid_core.judge import offsets
+from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.verdict import Remedy
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
@@ -91,6 +93,15 @@ def test_what_moves_an_output_on_is_no_jump(seed):
     struck = replace(record, outputs=(replace(y, values=y.values + blow[:, np.newaxis]),))
     for one in (lost, struck, flight(seed, jump=0.3, at=0.1, gusts=0.1)):
         assert 'jumps by' not in words(identify(one, Settings(feedthrough=False)))
+
+
+def test_a_jump_is_as_far_as_means_of_samples_before_and_after_it_are_apart():
+    times, rng = np.arange(0.0, 10.0, 0.05), np.random.default_rng(0)
+    errors = 0.01 * rng.standard_normal(200) + 0.7 * (times >= 4.0)
+    record, = samples_of([flight().between(0.0, 10.0)], [[None]]).records
+    at, size = offsets._standing_out(record, times, errors)
+    assert (at, size) == (80, pytest.approx(errors[80:85].mean() - errors[75:80].mean()))
+    assert offsets._standing_out(record, times, errors - 0.5 * (times >= 7.0))[1] == 0.0
 
 
 def test_of_several_records_the_one_that_jumps_is_named():
