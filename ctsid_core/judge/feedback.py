@@ -73,7 +73,8 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
     once, outputs of the same instant tell of both: they count for `same_instant` alone, and of
     inputs that never rest while outputs move, as a controller that answers at once does not.
     """
-    # A controller with sensors of its own hears another noise than is recorded: means tell of it.
+    # A controller with sensors of its own hears another noise than is recorded: where samples do
+    # not tell of it, means do.
     # Strictly before an input are outputs that may follow it at once.
     before = bool(model.D.any()) and not same_instant
     found = np.full((len(records), model.nu), np.inf)
@@ -82,12 +83,13 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
         for signal in unramped(record.inputs, record.commands):
             rests = resting_times(signal, record) if same_instant else [0.0] * signal.width
             outputs, changes, past = outputs_before(signal, record, before)
-            kinds = [_answers(outputs, changes, past, signal.period),
-                     *([] if model.D.any() else [_in_means(outputs, changes, signal.period)])]
-            for rest, *answers in zip(rests, *kinds, strict=True):
-                if rest <= MOVING * signal.period:
-                    row[j] = min((_distance(one, model, j, excited[j])
-                                  for one in answers if one is not None), default=np.inf)
+            answers = _answers(outputs, changes, past, signal.period)
+            means = [None] * len(answers) if model.D.any() else \
+                _in_means(outputs, changes, signal.period)
+            for rest, one, other in zip(rests, answers, means, strict=True):
+                answer = one or other
+                if answer is not None and rest <= MOVING * signal.period:
+                    row[j] = _distance(answer, model, j, excited[j])
                 j += 1
     return np.asarray(found.min(axis=0))
 

@@ -94,12 +94,12 @@ def _solved(task: Task) -> Solution | None:
                          one.free)
     left = one.best.left
     order = doubt_of_order(task, one.samples, one.free) if left > UNEXPLAINED else None
+    fails = _FAILS <= min(left, *(other.unexplained for other in one.found.values()))
     if direct and left > UNEXPLAINED and not task.effort.beyond(SEARCH):
         sought = predicted(task, one.samples, one.free)
         growth = -np.inf if sought is None else growth_of(sought, one.samples)
-        held = growth > GROWS and _FAILS <= min(
-            left, *(other.unexplained for other in one.found.values()))
-    drifts = one.best.drifting is not None and one.best.unexplained < _FAILS
+    held = held or fails and (growth > GROWS or not direct)
+    drifts = growth > GROWS and one.best.drifting is not None and one.best.unexplained < _FAILS
     if sought is not None and held and not drifts and not (order and growth <= GROWS) and (
             solved := likelier(task, one.samples, one.best, one.free, sought)):
         return replace(solved, doubt=hold or solved.doubt)
