@@ -23,7 +23,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.judge.slopes import SEARCHED, Own, only, recordings, slopes_of, under_loads
+from ctsid_core.judge.slopes import (
+    INSTANTS,
+    NOTHING,
+    SEARCHED,
+    Own,
+    jumps_of,
+    moved_by,
+    only,
+    recordings,
+    slopes_of,
+    under_loads,
+)
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.residuals import (
     coloured_power,
@@ -49,6 +60,7 @@ _STEPS = 5            # of a side's model from that of the whole: more, and it f
 _FEWEST = 3           # samples of a side for each number of a model
 _ASKED = 'whether the plant changed within the window'
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
+_MOVES = 0.12         # of a response, rms about its mean, that a gain that jumps changes
 NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 
@@ -99,7 +111,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
 
 
 def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
-    """Return what two models explain where predictions say that the plant changes."""
+    """Return what two models explain where predictions say that the plant, or a gain, changes."""
     joint, fit, free = predictor
     one, whole = only(joint, place), (fit.model, free)
     if len(recordings(joint)) > 1:
@@ -107,15 +119,42 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         with suppress(np.linalg.LinAlgError):
             whole = climb_roughly(one, fit_at(one, *fit.model.nonlinear, free), free,
                                   steps=_STEPS).model, free
-    found = _divisions(one, whole, whole, 0)
-    best = _best(one, whole, found) if found.gain > 0.0 else Change()
-    if not best.gain > 0.0:
-        return Change()
-    unsized = Change(place, found.share, gain=found.gain)
-    if best.pushed:
-        return unsized
+    found, best = _gain_that_jumps(one, whole, place), Change()
+    if not found.gain:
+        divided = _divisions(one, whole, whole, 0)
+        best = _best(one, whole, divided) if divided.gain > 0.0 else best
+        found = Change(place, divided.share, gain=divided.gain) if best.gain > 0.0 else found
+    # Of a plant that grows simulations tell no size.
+    if not found.gain or best.pushed or samples is joint:
+        return found
     size = _divided(samples, plant, plant, place, found.share, certain=True)
-    return size if size.left < _LEFT else unsized
+    return size if size.left < _LEFT else found
+
+
+def _gain_that_jumps(joint: Samples, own: Own, place: int) -> Change:
+    """Return when the gain of an input, or of all alike, jumps, if its predictor tells that."""
+    # To first order. A gain is one number, and errors of predictions are white: they tell of it
+    # where two models, each with all its numbers, are not likelier.
+    slopes, nu = slopes_of(joint, own), joint.nu - joint.ny
+    gains = moved_by(slopes, [np.zeros(joint.nu) for _ in joint.records])[:, :, :nu]
+    none, found = slopes.without(slopes.rows[:, :0])[1], Change()
+    each = dict.fromkeys((*((j,) for j in range(nu)), tuple(range(nu))))
+    for moved in (gains[:, :, inputs].sum(axis=2) for inputs in each):
+        for ((_, _, at),), errors in jumps_of(slopes, moved[:, :, np.newaxis], 1):
+            share, column = at / INSTANTS, moved[at][:, np.newaxis]
+            jump = float(np.linalg.lstsq(*slopes.without(column), rcond=NOTHING)[0][0])
+            left = slopes.in_records(errors)
+            n_eff = independent(left)
+            gain = float(n_eff @ np.log(mean_square(slopes.in_records(none)) / mean_square(left))
+                         ) - 2.0 * float(np.log(max(float(np.max(n_eff)), 2.0) * len(each)))
+            if gain > found.gain and abs(jump) * np.sqrt(share * (1.0 - share)) > _MOVES:
+                found, best = Change(place, share, gain=gain), column
+    if not found.gain:
+        return found
+    cost = slopes.beside(best).cost
+    likeliest = min(slopes.beside(slopes.drift).cost, slopes.curved().cost,
+                    under_loads(slopes, 1, slopes.rows[:, :0]).cost)
+    return found if cost < likeliest else Change()
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:

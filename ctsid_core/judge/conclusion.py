@@ -86,9 +86,9 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     asked = _asked_for_leads(sought, seen[0], model.n)
     lead = np.zeros(moving.nu) if simulated is None or not any(asked) or effort.leaves_out(
         'whether outputs answer before inputs') else lead_of_outputs(*simulated, asked)
-    change = Change() if solution.refit or simulated is None else \
+    change = Change() if solution.refit else \
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
-        most_likely_change(*simulated, solution.smaller, *solution.telling)
+        most_likely_change(*(simulated or solution.source), solution.smaller, *solution.telling)
     drift = _drift(solution) if solution.drifting or change.pushed or change.cost <= NOTED \
         else Drift()
     effort.check()

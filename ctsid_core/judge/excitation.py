@@ -21,7 +21,7 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.least_squares import orthonormal
-from ctsid_core.linear.matrix_functions import phi
+from ctsid_core.linear.matrix_functions import change_of, phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.modal import steps_of
@@ -53,22 +53,24 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     `rivals_apart` are.
     """
     omega, lines, sent, acting = _input_spectra(samples, np.array(model.delay)[list(part.u)])
-    weight, growth = np.abs(lines.T) ** 2, np.max(model.poles.real, initial=0.0)
+    weight = np.abs(lines.T) ** 2
 
-    # That tells a mean over a width of 1 / ahead, of modes that do not decay beside their growth.
-    def seen_over(width: float) -> ComplexArray:
-        return _moving(replace(model, A=model.A - width * np.eye(model.n)).frequency_response(
-            omega), part) / samples.size[:, np.newaxis]
+    def seen_over(width: float) -> tuple[StateSpace, ComplexArray]:
+        mean = replace(model, A=_further(model.A, width))
+        return mean, _moving(mean.frequency_response(omega), part) / samples.size[:, np.newaxis]
 
-    width = 1.0 / samples.length + growth
-    response = seen_over(width)
+    width = 1.0 / samples.length
+    mean, response = seen_over(width)
     if ahead < samples.length:
         power = np.sum(weight * np.sum(np.abs(response) ** 2, axis=1), axis=1)
         ahead = float(np.clip(power.sum() / max(float(power @ omega), 1e-300), ahead,
                               samples.length))
-        width = 1.0 / ahead + growth
-        response = seen_over(width)
-    variance, moved = _uncertain(samples, part, covariance, model, omega, lines, width)
+        width = 1.0 / ahead
+        mean, response = seen_over(width)
+    if covariance is not None:
+        covariance = replace(covariance, root=covariance.entries._replace(A=_further(
+            model.A, width, covariance.entries.A)).rows())
+    variance, moved = _uncertain(samples, part, covariance, mean, omega, lines)
     own, answer = _uncorrelated(sent), np.sum(np.abs(response) ** 2, axis=1)
     found = []
     for j, place in enumerate(part.u):
@@ -89,6 +91,25 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     with np.errstate(invalid='ignore', divide='ignore'):
         by_output = np.sqrt(moved / np.sum(np.abs(seen) ** 2, axis=0))
     return tuple(found), np.nan_to_num(by_output, nan=np.inf), ahead
+
+
+def _further(A: Array, width: float, changes: Array | None = None) -> Array:
+    """
+    Return A, or how changes of it change that, with modes further from the axis by a width.
+
+    The response is then a mean over that width: what is seen within one over it [s]. Modes that
+    grow by e in that time grow faster, so far into the past; all others decay faster.
+    """
+    poles, vectors = np.linalg.eig(A)
+    slow = width + np.max(poles.real[poles.real <= width], initial=0.0)
+
+    def further(z: ComplexArray) -> ComplexArray:
+        return z + np.where(z.real > width, width, -slow)
+    if changes is not None:
+        return change_of(A, changes, further, np.ones_like)
+    if not (poles.real > width).any():
+        return A - slow * np.eye(len(A))
+    return np.asarray(np.linalg.solve(vectors.T, (vectors * further(poles)).T).T.real)
 
 
 def rivals_apart(samples: Samples, model: ModalModel,
@@ -138,7 +159,7 @@ def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[floa
 
 
 def _uncertain(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
-               omega: Array, lines: ComplexArray, width: float) -> tuple[Array, Array]:
+               omega: Array, lines: ComplexArray) -> tuple[Array, Array]:
     """Return the variance of responses to each input, (M, nu), and of outputs' motion, (ny,)."""
     # Outputs over their size; infinite where nothing is known.
     shape, size = (len(omega), len(lines)), samples.size
@@ -152,7 +173,7 @@ def _uncertain(samples: Samples, part: Usable, covariance: Covariance | None, mo
         samples.effort.check()
         some = slice(start, start + few)
         try:
-            changes = _moving(covariance.response_changes(model, omega[some], width), part)
+            changes = _moving(covariance.response_changes(model, omega[some]), part)
         except np.linalg.LinAlgError:
             return nothing
         changes /= size[:, np.newaxis]

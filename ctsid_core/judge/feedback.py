@@ -34,6 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctsid_core.likelihood.output_error import climb_roughly, fit_at
+from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
@@ -46,6 +47,7 @@ from ctsid_core.signals.loop import (
     SMOOTH,
     heard,
     in_loop,
+    lagged,
     left_alone,
     newest_of,
     outputs_before,
@@ -59,6 +61,7 @@ _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
 _FREQUENCIES = 40     # ... so many frequencies are looked at
 _NEWS = 1e-6          # of the part of outputs that their past does not tell (in power)
 _NOISY = 0.5          # of how a command changes, in power: what its own past does not tell
+_SAME, _TOLD = 1e-10, 1e-8     # of instruments, and of what these tell of outputs: less is none
 _RESTS = 0.85         # times e that a mode grows while the input that holds it rests, as a rule
 
 
@@ -183,15 +186,45 @@ def _distance(answer: _Answer, model: StateSpace, j: int, excited: Excitation) -
 
 def _answers(outputs: Array, changes: Array, past: int, step: float) -> list[_Answer | None]:
     """Return what outputs before it add to each change of a channel, if they tell."""
-    if not past:
+    news = _news_of(outputs, changes)
+    if not past or not len(news):
         return [None] * len(changes)
-    weights, left = regressed_on_past(outputs[1:], changes, past)
+    _, left = regressed_on_past(outputs[1:], changes, past)
     found: list[_Answer | None] = []
-    for own, power, w in zip(changes, left, weights, strict=True):
-        rest = left_alone(own, past)
+    for own, power in zip(changes, left, strict=True):
+        weights, (rest,) = regressed_on_past(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
         tells = power < rest and rest > SMOOTH * np.mean(own ** 2)
-        found.append(_Answer(w.reshape(past, -1), np.zeros(0), step, step) if tells else None)
+        found.append(_Answer(_by_news(outputs[1:], own, news, weights[0]), np.zeros(0), step, step)
+                     if tells else None)
     return found
+
+
+def _news_of(outputs: Array, changes: Array) -> Array:
+    """Return what the past of outputs and inputs does not tell of the last outputs (M, ny)."""
+    known, new = np.hstack((outputs[1:-1], changes[:, :-1].T)), outputs[2:]
+    past = past_of(known)
+    if not past:
+        return outputs[:0]
+    weights, _ = regressed_on_past(known, new.T, past)
+    return np.asarray(new[past - 1:] - lagged(known, past) @ weights.T)
+
+
+def _by_news(outputs: Array, own: Array, news: Array, weights: Array) -> Array:
+    """Return the weights of outputs (past, ny) in changes, with their news as instruments."""
+    # A smooth set point is told by outputs, too, by way of the plant: what they add to it would be
+    # one over that, of whatever loop. Both are filtered by what makes the changes white.
+    past = len(weights)
+
+    def white(rows: Array) -> Array:
+        seen = lagged(rows, past + 1).reshape(-1, past + 1, rows.shape[1])
+        return np.asarray(np.tensordot(seen, np.append(1.0, -weights), (1, 0)))
+    lags, changes, by = lagged(white(outputs), past), white(own[:, np.newaxis]), lagged(
+        news, min(2 * past, len(news)))
+    count = min(len(lags), len(by))
+    lags, changes, by = ((rows - rows.mean(axis=0)).T for rows in (
+        lags[-count:], changes[-count:], by[-count:]))
+    told = least_norm(by, lags, _SAME) @ by
+    return np.asarray(least_norm(told, changes, _TOLD)[0].reshape(past, -1))
 
 
 def _in_means(outputs: Array, changes: Array, step: float) -> list[_Answer | None]:

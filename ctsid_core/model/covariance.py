@@ -165,14 +165,9 @@ class Covariance:
         found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
         return np.asarray(np.where(model.poles.imag == 0.0, found.real, found).astype(complex))
 
-    def response_changes(self, model: StateSpace, omega: ArrayLike,
-                         width: float = 0.0) -> ComplexArray:
-        """
-        Return what they change of G(s) (2), over exp(-s delay): (r, M, ny, nu).
-
-        At s = width + j omega [rad/s].
-        """
-        s = width + 1j * np.asarray(omega, dtype=float)[:, np.newaxis, np.newaxis]
+    def response_changes(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
+        """Return what they change of G(s) (2), over exp(-s delay), at j omega: (r, M, ny, nu)."""
+        s = 1j * np.asarray(omega, dtype=float)[:, np.newaxis, np.newaxis]
         e = self.entries
         system = s * np.eye(self.n) - model.A
         L = np.swapaxes(np.linalg.solve(np.swapaxes(system, 1, 2), model.C.T + 0 * s), 1, 2)

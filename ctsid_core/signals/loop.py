@@ -135,9 +135,14 @@ def regressed_on_past(regressors: Array, targets: Array, past: int) -> tuple[Arr
 
     Weights (m, past k), and the mean squares of what is left (m,).
     """
-    known = sliding_window_view(regressors, past, axis=0)[:, :, ::-1].swapaxes(1, 2)
-    weights, left = _regressed(known.reshape(len(known), -1), targets[:, past - 1:])
+    weights, left = _regressed(lagged(regressors, past), targets[:, past - 1:])
     return weights[:, :-1], left
+
+
+def lagged(rows: Array, count: int) -> Array:
+    """Return so many rows (N, k) up to each, the latest first, (N - count + 1, count k)."""
+    seen = sliding_window_view(rows, count, axis=0)[:, :, ::-1].swapaxes(1, 2)
+    return seen.reshape(len(seen), -1)
 
 
 def _regressed(known: Array, wanted: Array) -> tuple[Array, Array]:
