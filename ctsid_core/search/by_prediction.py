@@ -33,11 +33,10 @@ from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states, 
 from ctsid_core.likelihood.output_error import Fit, Free, Guess, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
-from ctsid_core.model.simulation import free_response, respond
+from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCHED, affordable, nearest
 from ctsid_core.search.direct import without_needless
 from ctsid_core.search.own_past import (
@@ -63,7 +62,6 @@ _REFITS = 2                 # of a predictor that tells itself what was lost
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _MIRRORED = 0.5             # of the fastest pole that grows: as slow is a filter of its plant
-_TOLD = 1e-2                # of directions of a first state: less of one, and nothing tells it
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
@@ -375,11 +373,10 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
     """
     Return rms errors of predictions some samples ahead, over the motion, (horizons, ny).
 
-    The first tenth of the record starts the filter and does not count. Of what `simulates` it
-    tells the first state, which a filter without gain would not learn: what may be anything for
-    longer stands for what disturbs the record. Infinite if the filter is not stable. Errors as
-    many samples ahead are alike over as many: horizons beyond half of a short record, the last
-    ones, are left out.
+    The first tenth of the record starts the filter and does not count. Of what `simulates` the
+    state at its start is known: a filter without gain would never learn it. Infinite if the filter
+    is not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
+    short record, the last ones, are left out.
     """
     record = last.record
     rarest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
@@ -393,18 +390,18 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
     real = np.isin(t, seen)
     motion = np.std(y[real], axis=0)
     motion[motion == 0.0] = np.inf                 # of an output at rest nothing is asked
-    first = len(t) // 10
     with np.errstate(over='ignore', invalid='ignore'):
-        x, u = respond(m.A, m.B, m.x_trim, record.inputs, delay.tolist(), t, None)
+        if not simulates:
+            x, u = respond(m.A, m.B, m.x_trim, record.inputs, delay.tolist(), t, None)
+        else:
+            x, u = (rows[1:] for rows in respond(
+                m.A, m.B, m.x_trim, record.inputs, delay.tolist(), np.append(record.start, t),
+                m.start))
         rest = y - x @ m.C.T - u @ m.D.T - m.y_trim
-        if simulates:
-            free, _ = free_response(m.A, m.C, t)
-            told = (free[:first] / motion[:, np.newaxis]).reshape(-1, free.shape[2])
-            rest -= free @ least_norm(told.T, (rest[:first] / motion).reshape(1, -1), _TOLD)[0]
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
-        errors = []
+        errors, first = [], len(t) // 10
         start = 0 if simulates else first
         states = predicted_states(F, F @ M, m.C, rest, start) if real.all() else \
             states_with_gaps(F, F @ M, m.C, rest, real, start)

@@ -124,11 +124,15 @@ def _predicts_better(task: Task, samples: Samples, best: Tried, found: Predictio
     # Where a simulation explains all but noise, a plant that grows must not predict worse where it
     # has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
     # not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
+    # Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
     fit, part = found.found.fit, task.part
     noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = growth_of(found, samples), 0.0, 0.0
     doubted = growth > GROWS and best.unexplained < UNEXPLAINED
+    poles = best.fit.model.poles
+    asked = growth <= GROWS and not np.any(
+        (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < GROWS))
     for place, counts in enumerate(samples.counts):
         if np.min(counts) < 2:      # nothing is ahead of a single sample
             continue
@@ -144,7 +148,7 @@ def _predicts_better(task: Task, samples: Samples, best: Tried, found: Predictio
             else predicted()
         rivals = simulated()
         gain += information(rivals, counts) - information(errors, counts)
-        if growth <= GROWS and AHEAD < min(len(errors), len(rivals)):
+        if asked and AHEAD < min(len(errors), len(rivals)):
             far += float(counts @ np.log(np.maximum(errors[AHEAD], LEAST)
                                          / np.maximum(rivals[AHEAD], LEAST)))
         if doubted:
