@@ -140,6 +140,15 @@ def test_a_plant_under_such_a_controller_is_good_if_the_set_point_moves(seed):
     np.testing.assert_allclose(response / true, 1.0, atol=0.1)
 
 
+@pytest.mark.parametrize('settings', [Settings(), Settings(feedthrough=False)])
+def test_a_step_of_two_samples_hears_nothing(settings):
+    t = 0.01 * np.arange(300)
+    y = np.where(t < 0.5, 0.0, 1.0 - np.exp(-3.0 * (t - 0.5)))
+    y += 0.01 * np.random.default_rng(0).standard_normal(300)
+    found = identify(Record.from_arrays([0.0, 0.5], [0.0, 1.0], t, y, input_hold='zoh'), settings)
+    assert found.model is not None, found.verdict.reason
+
+
 def test_an_input_that_is_louder_at_first_hears_nothing():
     """What its own past leaves was taken of more samples than what outputs leave beside it."""
     heard = 0
@@ -317,7 +326,7 @@ def test_what_is_smooth_is_no_answer(snr):
 
 def test_of_several_records_one_at_rest_is_enough():
     """The model of the one at rest is none of the plant, whatever the other record is of."""
-    rest, moved = held_in_place(1), held_in_place(0, 'jumps', gust=0.5)
+    rest, moved = held_in_place(1), held_in_place(1, 'jumps', gust=0.5)
     found = identify(rest, Settings(feedthrough=False))
     given = found.model, found.verdict.excitation
     assert distance_to_controller([moved], *given)[0] > 0.45

@@ -12,8 +12,9 @@ leaves, noise apart, has to be gone, as far as the noise lets see. And they have
 explanation: of a plant that drifts, or is not linear, a drift or curves explain as much, and of
 one that is pushed a load that comes and goes. Of several records each may be of another plant as a
 whole: then it has a model of its own. Of a model that was found by its predictions these tell, too
-(in a loop they alone), for their errors are white where gusts stay in those of simulations; how
-much it matters is what the plant, simulated, misses beside two.
+(in a loop they alone), for their errors are white where gusts stay in those of simulations: first
+of a gain that jumps, which is one number, then of two predictors; how much it matters is what the
+plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
@@ -89,7 +90,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     Smaller models are the best ones of smaller orders, and what was free in them. Of a model that
     was found by its predictions its predictor tells, too, or alone unless it `simulates`.
     """
-    if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
+    # All of it may be of a short side. Predictions of a plant that grows err by little anyway.
+    if simulates and np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:
         return Change()
     # Of a record shorter than a dead time nothing is left.
     each, whole = recordings(samples), (fit.model, free)
@@ -105,13 +107,20 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
                              for place in each for one in (whole, *smaller)),
                     key=lambda change: change.cost)
     if predictor is not None and found.cost <= NOTED:
-        found = max(found, *(_as_predicted(samples, whole, place, predictor) for place in each),
+        found = max(found, *(_as_predicted(
+            None if samples is predictor[0] else samples, whole, place, predictor)
+            for place in each),
                     key=lambda change: (change.cost, change.gain))
     return found
 
 
-def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
-    """Return what two models explain where predictions say that the plant, or a gain, changes."""
+def _as_predicted(samples: Samples | None, plant: Own, place: int, predictor: Fitted) -> Change:
+    """
+    Return what two models explain where predictions say that the plant, or a gain, changes.
+
+    Without `samples` of a simulation, of a plant that grows, gains alone are asked: of two of its
+    predictors each knows its own gusts and loads.
+    """
     joint, fit, free = predictor
     one, whole = only(joint, place), (fit.model, free)
     if len(recordings(joint)) > 1:
@@ -119,25 +128,30 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         with suppress(np.linalg.LinAlgError):
             whole = climb_roughly(one, fit_at(one, *fit.model.nonlinear, free), free,
                                   steps=_STEPS).model, free
-    found, best = _gain_that_jumps(one, whole, place), Change()
+    found = _gain_that_jumps(one, whole, place)
+    if samples is None:
+        return found
     if not found.gain:
         divided = _divisions(one, whole, whole, 0)
-        best = _best(one, whole, divided) if divided.gain > 0.0 else best
+        best = _best(one, whole, divided) if divided.gain > 0.0 else Change()
         found = Change(place, divided.share, gain=divided.gain) if best.gain > 0.0 else found
-    # Of a plant that grows simulations tell no size.
-    if not found.gain or best.pushed or samples is joint:
-        return found
+        if not found.gain or best.pushed:
+            return found
     size = _divided(samples, plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else found
 
 
-def _gain_that_jumps(joint: Samples, own: Own, place: int) -> Change:
+def _gain_that_jumps(samples: Samples, own: Own, place: int) -> Change:
     """Return when the gain of an input, or of all alike, jumps, if its predictor tells that."""
     # To first order. A gain is one number, and errors of predictions are white: they tell of it
     # where two models, each with all its numbers, are not likelier.
-    slopes, nu = slopes_of(joint, own), joint.nu - joint.ny
-    gains = moved_by(slopes, [np.zeros(joint.nu) for _ in joint.records])[:, :, :nu]
-    none, found = slopes.without(slopes.rows[:, :0])[1], Change()
+    nu, found = samples.nu - samples.ny, Change()
+    if samples.effort.leaves_out(_ASKED):
+        return found
+    slopes = slopes_of(samples.thinned(2 * SEARCHED), own)
+    samples.effort.spend(float(slopes.rows.size * INSTANTS))
+    gains = moved_by(slopes, [np.zeros(nu) for _ in samples.records])
+    none = slopes.in_records(slopes.without(slopes.rows[:, :0])[1])
     each = dict.fromkeys((*((j,) for j in range(nu)), tuple(range(nu))))
     for moved in (gains[:, :, inputs].sum(axis=2) for inputs in each):
         for ((_, _, at),), errors in jumps_of(slopes, moved[:, :, np.newaxis], 1):
@@ -145,16 +159,15 @@ def _gain_that_jumps(joint: Samples, own: Own, place: int) -> Change:
             jump = float(np.linalg.lstsq(*slopes.without(column), rcond=NOTHING)[0][0])
             left = slopes.in_records(errors)
             n_eff = independent(left)
-            gain = float(n_eff @ np.log(mean_square(slopes.in_records(none)) / mean_square(left))
-                         ) - 2.0 * float(np.log(max(float(np.max(n_eff)), 2.0) * len(each)))
+            gain = float(n_eff @ np.log(mean_square(none) / mean_square(left))) - 2.0 * float(
+                np.log(max(float(np.max(n_eff)), 2.0) * len(each)))
             if gain > found.gain and abs(jump) * np.sqrt(share * (1.0 - share)) > _MOVES:
                 found, best = Change(place, share, gain=gain), column
     if not found.gain:
         return found
-    cost = slopes.beside(best).cost
     likeliest = min(slopes.beside(slopes.drift).cost, slopes.curved().cost,
                     under_loads(slopes, 1, slopes.rows[:, :0]).cost)
-    return found if cost < likeliest else Change()
+    return found if slopes.beside(best).cost < likeliest else Change()
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.likelihood.modal_model import ModalModel
@@ -98,18 +99,19 @@ def _further(A: Array, width: float, changes: Array | None = None) -> Array:
     Return A, or how changes of it change that, with modes further from the axis by a width.
 
     The response is then a mean over that width: what is seen within one over it [s]. Modes that
-    grow by e in that time grow faster, so far into the past; all others decay faster.
+    grow by e in that time grow faster, so far into the past; all others decay faster, those that
+    grow by less beside as much as they do.
     """
-    poles, vectors = np.linalg.eig(A)
-    slow = width + np.max(poles.real[poles.real <= width], initial=0.0)
-
-    def further(z: ComplexArray) -> ComplexArray:
-        return z + np.where(z.real > width, width, -slow)
+    # By the spectral projector of what grows: integrators may be alike.
+    T, Z, count = scipy.linalg.schur(A, sort=lambda re, _: re <= width)
+    slow = width + np.max(np.linalg.eigvals(T[:count, :count]).real, initial=0.0)
     if changes is not None:
-        return change_of(A, changes, further, np.ones_like)
-    if not (poles.real > width).any():
-        return A - slow * np.eye(len(A))
-    return np.asarray(np.linalg.solve(vectors.T, (vectors * further(poles)).T).T.real)
+        return changes if count == len(A) else change_of(
+            A, changes, lambda z: z + np.where(z.real > width, width, -slow), np.ones_like)
+    Y = scipy.linalg.solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:]) \
+        if 0 < count < len(A) else np.zeros((count, len(A) - count))
+    grows = (Z[:, :count] @ Y + Z[:, count:]) @ Z[:, count:].T
+    return np.asarray(A - slow * np.eye(len(A)) + (width + slow) * grows)
 
 
 def rivals_apart(samples: Samples, model: ModalModel,

@@ -45,6 +45,7 @@ from ctsid_core.signals.loop import (
     MOVING,
     NEWEST,
     SMOOTH,
+    clipped,
     heard,
     in_loop,
     lagged,
@@ -186,8 +187,8 @@ def _distance(answer: _Answer, model: StateSpace, j: int, excited: Excitation) -
 
 def _answers(outputs: Array, changes: Array, past: int, step: float) -> list[_Answer | None]:
     """Return what outputs before it add to each change of a channel, if they tell."""
-    news = _news_of(outputs, changes)
-    if not past or not len(news):
+    news = _news_of(outputs, changes) if past else outputs[:0]
+    if not len(news):
         return [None] * len(changes)
     _, left = regressed_on_past(outputs[1:], changes, past)
     found: list[_Answer | None] = []
@@ -200,12 +201,14 @@ def _answers(outputs: Array, changes: Array, past: int, step: float) -> list[_An
 
 
 def _news_of(outputs: Array, changes: Array) -> Array:
-    """Return what the past of outputs and inputs does not tell of the last outputs (M, ny)."""
+    """Return what the past of outputs and channels does not tell of the last outputs (M, ny)."""
     known, new = np.hstack((outputs[1:-1], changes[:, :-1].T)), outputs[2:]
     past = past_of(known)
     if not past:
         return outputs[:0]
-    weights, _ = regressed_on_past(known, new.T, past)
+    weights, left = regressed_on_past(known, new.T, past)
+    if np.any(left <= SMOOTH * np.mean(np.diff(outputs, axis=0) ** 2, axis=0)):
+        return outputs[:0]                              # they are rounding
     return np.asarray(new[past - 1:] - lagged(known, past) @ weights.T)
 
 
@@ -218,7 +221,7 @@ def _by_news(outputs: Array, own: Array, news: Array, weights: Array) -> Array:
     def white(rows: Array) -> Array:
         seen = lagged(rows, past + 1).reshape(-1, past + 1, rows.shape[1])
         return np.asarray(np.tensordot(seen, np.append(1.0, -weights), (1, 0)))
-    lags, changes, by = lagged(white(outputs), past), white(own[:, np.newaxis]), lagged(
+    lags, changes, by = lagged(white(outputs), past), white(clipped(own)[:, np.newaxis]), lagged(
         news, min(2 * past, len(news)))
     count = min(len(lags), len(by))
     lags, changes, by = ((rows - rows.mean(axis=0)).T for rows in (

@@ -223,22 +223,24 @@ def moved_by(slopes: Slopes, means: Sequence[Array] | None) -> Array:
     Return what inputs move from each instant on, (instants, N, nu), outputs over errors.
 
     By themselves: what they move at all, less what is left of that by then, which decays, and
-    what their `means` move. Without these what a constant load at each of them moves.
+    what their `means` move, of as many inputs as have some. Without these what a constant load at
+    each of them moves.
     """
     samples, model = slopes.samples, slopes.fit.model
-    found = np.zeros((INSTANTS, len(slopes.error), samples.nu))
+    nu = samples.nu if means is None else len(means[0])
+    found = np.zeros((INSTANTS, len(slopes.error), nu))
     at = 0
     for r, (record, triangles) in enumerate(zip(samples.records, slopes.fit.columns.triangles,
                                                 strict=True)):
-        mean = np.ones(samples.nu) if means is None else means[r]
+        mean = np.ones(nu) if means is None else means[r]
         start, end = record.span
         for s, t in zip(record.streams, triangles, strict=True):
             (count, channels), size = s.y.shape, np.sqrt(slopes.fit.power[r, s.channels])
             residues = (model.c[s.channels] / size[:, np.newaxis]).T \
-                * model.b.T[:, :, np.newaxis]                           # (nu, m, channels)
-            direct = (model.D[s.channels] / size[:, np.newaxis]).T[:, np.newaxis]
-            inputs = (t.z[:, :, :samples.nu], t.u) if means is not None else (
-                np.zeros((count, len(model.poles), samples.nu)), np.zeros((count, samples.nu)))
+                * model.b.T[:nu, :, np.newaxis]                         # (nu, m, channels)
+            direct = (model.D[s.channels, :nu] / size[:, np.newaxis]).T[:, np.newaxis]
+            inputs = (t.z[:, :, :nu], t.u[:, :nu]) if means is not None else (
+                np.zeros((count, len(model.poles), nu)), np.zeros((count, nu)))
             for k in range(INSTANTS):
                 first = int(np.searchsorted(s.times, start + k / INSTANTS * (end - start)))
                 if first == count:

@@ -42,7 +42,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.loop import in_loop
 
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
-                      # plant in open loop, and it may grow
+                      # plant: in open loop it may grow
 _CLEARLY = 0.1        # -2 log likelihood, of all horizons, for each sample
 
 
@@ -71,9 +71,10 @@ def _solved(task: Task) -> Solution | None:
     """Return the model that simulates the records, or the plant that predicts them."""
     # In open loop a plant is to simulate, unless it grows and no simulation tells it: predictions
     # are asked of what simulations leave. Without D they are asked first, and where a controller
-    # is heard, or the plant grows, they are as good: simulations of what a controller holds
-    # imitate what it makes of noise. Behind a stick, what an oscillation from elsewhere does to an
-    # output predictions know, and inputs by chance. A drift they take up as growth.
+    # is heard, the plant grows, or no simulation tells it, they are as good: simulations of what a
+    # controller holds imitate what it makes of noise. Behind a stick, what an oscillation from
+    # elsewhere does to an output predictions know, and inputs by chance. A drift they take up as
+    # growth.
     samples, subspace, direct = task.seen(), Subspace(task), task.settings.feedthrough
     free = replace(task.free(samples), feedthrough=False)
     sought = None if direct else predicted(task, samples, free)

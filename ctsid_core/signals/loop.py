@@ -58,7 +58,7 @@ def _hears(changes: Array, outputs: Array) -> bool:
 def past_of(outputs: Array) -> int:
     """Return how many changes before count, beside outputs (N, ny)."""
     count, ny = outputs.shape
-    return int(min(_PAST, (count - 1) // (_EACH * (ny + 1))))
+    return int(min(_PAST, max(count - 1, 0) // (_EACH * (ny + 1))))
 
 
 def newest_of(outputs: Array, count: int) -> Array:
@@ -74,17 +74,23 @@ def heard(changes: Array, seen: Array, past: int) -> tuple[Array, Array] | None:
     The last row of `seen` (M, k) is of the last change. Weights (past,), the latest first, and
     (k,).
     """
-    most = _USUAL * float(np.median(np.abs(changes)))
-    if not most:                # it mostly rests
+    if not np.median(np.abs(changes)):          # it mostly rests
         return None
     count = min(len(changes) - past, len(seen))
-    own = np.clip(changes, -most, most)[-count - past:]
+    own = clipped(changes)[-count - past:]
     before = np.hstack((sliding_window_view(own, past)[:-1], seen[-count:]))
     (weights,), (left,) = _regressed(before, own[np.newaxis, past:])
     least = SMOOTH * float(np.mean(own ** 2))
     gain = count * np.log((left_alone(own, past) + least) / (left + least))
     tells = gain > _HEARS * np.sqrt(2.0 * seen.shape[1])
     return (weights[past - 1::-1], weights[past:-1]) if tells else None
+
+
+def clipped(changes: Array) -> Array:
+    """Return changes, none larger than usual: a few jumps of a set point outweigh all others."""
+    moves = np.abs(changes[changes != 0.0])
+    most = _USUAL * float(np.median(moves)) if len(moves) else 0.0
+    return np.clip(changes, -most, most)
 
 
 def never_rest(records: Sequence[Record]) -> bool:
