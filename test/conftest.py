@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -15,6 +16,12 @@ from schema import faults_of_file
 ROOT = Path(__file__).resolve().parent.parent
 # A shell lets what it starts behind `&` ignore Ctrl-C, and so would the programs tested here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and tests, which stay to the end, out of every search for what is unused."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture
