@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 import re
 
 from marks import slow
@@ -27,7 +28,6 @@ FINE = 0.001        # [s]
 EACH = {'dead_zone': 0.3, 'limit': 0.7, 'backlash': 0.4, 'rate_limit': 1.5}
 
 
-
 def brute(t, u, kind: str, value: float, t_u) -> np.ndarray:
     """Return what acts on a fine grid by the definitions, step by step; at rest before."""
     sent = np.where(t >= t_u[0], u[np.maximum(np.searchsorted(t_u, t, side='right') - 1, 0)], 0.0)
@@ -45,6 +45,7 @@ def brute(t, u, kind: str, value: float, t_u) -> np.ndarray:
     return found
 
 
+@cache
 def driven(seed: int, kind: str = '', value: float = 0.0, *, size: float = 1.0,
            duration: float = 30.0, noise: float | None = 30.0) -> Record:
     """Return a robot under levels of many sizes, what acts of them behind one actuator."""
@@ -80,7 +81,7 @@ def test_what_acts_is_what_the_definition_says(kind):
 
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4, 5, 6)])
-@pytest.mark.parametrize('kind', EACH)
+@pytest.mark.parametrize('kind', ['dead_zone', 'rate_limit', *slow('limit', 'backlash')])
 def test_what_lies_before_a_plant_is_found_and_the_plant_behind_it_is_right(kind, seed):
     found = identify(driven(seed, kind, EACH[kind]))
     assert found.good, found.verdict.reason
@@ -109,7 +110,7 @@ def test_what_lies_before_a_plant_is_found_and_the_plant_behind_it_is_right(kind
 
 
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4, 5, 6)])
-@pytest.mark.parametrize('noise', [15.0, 30.0])
+@pytest.mark.parametrize('noise', [30.0, *slow(15.0)])
 def test_a_plant_that_is_linear_has_nothing_before_it(seed, noise):
     found = identify(driven(seed, noise=noise))
     assert found.good
@@ -235,9 +236,9 @@ def test_channels_of_one_message_have_their_own():
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
-    ('no-gain-jump', 300, 2), ('quadratic-drag', 135, 6), ('gain-drift', 140, 2), *slow(
-        ('no-pole-jump', 300, 6), ('no-clipped', 4, 0), ('no-gain-jump', 4, 6),
-        ('quadratic-drag', 303, 6), ('gain-drift', 300, 1))])
+    ('no-gain-jump', 300, 2), ('quadratic-drag', 135, 6), *slow(
+        ('gain-drift', 140, 2), ('no-pole-jump', 300, 6), ('no-clipped', 4, 0),
+        ('no-gain-jump', 4, 6), ('quadratic-drag', 303, 6), ('gain-drift', 300, 1))])
 def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
     """Two models, or curves, tell of jumps and drag as well; a clipped sensor leaves too much."""
     robots = pytest.importorskip('ctsid_ros.studies.robots.families')
@@ -247,8 +248,9 @@ def test_a_plant_that_changes_or_bends_is_no_actuator(family, seed, number):
 
 
 @pytest.mark.parametrize(('kind', 'seeds', 'duration'), [
-    ('limit', range(20, 22), 60.0), *slow(
-        ('limit', range(20, 23), 120.0), *((kind, range(20, 32), 30.0) for kind in EACH))])
+    ('limit', range(20, 21), 60.0), *slow(
+        ('limit', range(20, 22), 60.0), ('limit', range(20, 23), 120.0),
+        *((kind, range(20, 32), 30.0) for kind in EACH))])
 def test_what_acts_is_as_sure_as_it_is_said_to_be(kind, seeds, duration):
     """As all samples tell, of which the search looks at a thousand."""
     errors = []
@@ -394,7 +396,7 @@ def test_a_number_that_is_given_and_does_no_harm_is_no_doubt():
     assert found.model.actuators[0].limit == 1.05
 
 
-@pytest.mark.parametrize('kind', ['limit', 'rate_limit', *slow('dead_zone', 'backlash')])
+@pytest.mark.parametrize('kind', ['rate_limit', *slow('limit', 'dead_zone', 'backlash')])
 def test_what_is_given_rightly_is_none(kind):
     found = identify(driven(1, kind, EACH[kind]), Settings(**{kind: 1.03 * EACH[kind]}))
     assert found.good, found.verdict.reason

@@ -355,7 +355,7 @@ def test_a_short_record_of_many_weighs_as_much_as_it_is_long():
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])
 @pytest.mark.parametrize(('gain', 'how'), [
     *slow((still, {})), (lambda t: 1.0 + 0.3 * (t / 60.0 - 0.5), {}),
-    (still, {'act': lambda u: np.tanh(1.5 * u), 'size': 0.4})])
+    *slow((still, {'act': lambda u: np.tanh(1.5 * u), 'size': 0.4}))])
 def test_what_drifts_or_saturates_does_not_come_back(gain, how, seed):
     """An actuator that saturates has a smaller gain as long as it is moved far."""
     found = identify(varying(seed, gain, **how))

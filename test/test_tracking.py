@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import fields, replace
 import pickle
 
@@ -83,6 +84,25 @@ def tracked(steady) -> list[Tracked]:
 @pytest.fixture(scope='module')
 def alone(steady) -> list[Estimate]:
     return [identify(record, SETTINGS) for record in steady]
+
+
+@pytest.fixture(scope='module')
+def untested(steady) -> Estimate:
+    """The first window, of which nothing is held out."""
+    return identify(steady[0], SETTINGS.replace(held_out=0.0))
+
+
+@pytest.fixture(scope='module')
+def _begun(steady) -> Tracker:
+    tracker = Tracker(SETTINGS)
+    tracker.take(steady[0])
+    return tracker
+
+
+@pytest.fixture
+def begun(_begun) -> Tracker:
+    """A tracker of its own that has taken the first window."""
+    return deepcopy(_begun)
 
 
 def test_estimates_are_those_of_identify_in_other_states(alone, tracked):
@@ -262,16 +282,12 @@ def test_a_change_is_forgotten_with_a_reset():
     assert not before.ok
 
 
-def test_a_window_without_a_model_changes_nothing(steady, tracked):
-    tracker = Tracker(SETTINGS)
-    first = tracker.take(steady[0])
-    bad = tracker.take(silent(steady[1]))
+def test_a_window_without_a_model_changes_nothing(steady, tracked, begun):
+    bad = begun.take(silent(steady[1]))
     assert bad.estimate.status is Status.NO_EXCITATION
     assert (bad.realisation, bad.modes, len(bad.eigenvalues)) == (1, (), 0)
     assert np.isfinite(bad.fresh_fit).all()  # the earlier model is tested all the same
-    third = tracker.take(steady[1])
-    assert same(third, tracked[1])
-    assert same(first, tracked[0])
+    assert same(begun.take(steady[1]), tracked[1])
 
 
 def test_nothing_before_the_first_model(steady):
@@ -301,11 +317,9 @@ def test_another_order_starts_new_states_but_keeps_known_modes(steady):
     assert found[4].modes[2] not in found[1].modes + found[2].modes
 
 
-def test_reset_forgets_models_but_counts_on(steady):
-    tracker = Tracker(SETTINGS)
-    tracker.take(steady[0])
-    tracker.reset()
-    found = tracker.take(steady[1])
+def test_reset_forgets_models_but_counts_on(steady, begun):
+    begun.reset()
+    found = begun.take(steady[1])
     assert (found.realisation, found.modes) == (2, (3, 4))
     assert np.isnan(found.fresh_fit).all()
 
@@ -322,14 +336,12 @@ def test_a_reset_while_a_window_is_identified_holds(steady, monkeypatch):
     assert np.isnan(tracker.take(steady[1]).fresh_fit).all()
 
 
-def test_other_channels_are_a_mistake_until_reset(steady):
-    tracker = Tracker(SETTINGS)
-    tracker.take(steady[0])
+def test_other_channels_are_a_mistake_until_reset(begun):
     other = windows(PLANTS['hd51'])[1]
     with pytest.raises(DataError, match='output channels'):
-        tracker.take(other)
-    tracker.reset()
-    assert tracker.take(other).estimate.ok
+        begun.take(other)
+    begun.reset()
+    assert begun.take(other).estimate.ok
 
 
 def test_nothing_but_the_last_model_is_kept(steady):
@@ -341,13 +353,11 @@ def test_nothing_but_the_last_model_is_kept(steady):
     assert max(sizes) < 10_000
 
 
-def test_a_model_that_explodes_is_told_as_such(steady):
+def test_a_model_that_explodes_is_told_as_such(steady, begun):
     """Poles that coincide, and more than e^700 within the window."""
     wild = StateSpace([[1e3, 1], [0, 1e3]], [[0], [1]], [[1, 0]])
-    tracker = Tracker(SETTINGS)
-    found = tracker.take(steady[0])
-    tracker._past = replace(tracker._past, model=wild)
-    found = tracker.take(steady[1])
+    begun._past = replace(begun._past, model=wild)
+    found = begun.take(steady[1])
     assert found.estimate.ok
     assert found.fresh_fit[0] < EXPLAINED       # what of it is bounded is next to nothing
 
@@ -420,8 +430,8 @@ def test_of_several_models_all_have_to_say_so():
 
 @pytest.mark.parametrize(('apart', 'grade'), [(0.09, 'GOOD'), (0.12, 'WEAK'), (np.inf, 'WEAK'),
                                               (np.nan, 'GOOD')])
-def test_successive_models_that_simulate_a_window_apart_are_not_good(steady, apart, grade):
-    good = identify(steady[0], SETTINGS)
+def test_successive_models_that_simulate_a_window_apart_are_not_good(alone, apart, grade):
+    good = alone[0]
     assert good.good
     found = tracking.in_sequence(good, np.array([99.0]), np.array([1.0]), np.array([apart]))
     assert found.verdict.grade.name == grade
@@ -429,9 +439,9 @@ def test_successive_models_that_simulate_a_window_apart_are_not_good(steady, apa
     np.testing.assert_array_equal(found.verdict.apart, [apart])
 
 
-def test_how_far_apart_models_are_is_what_a_user_simulates(steady):
+def test_how_far_apart_models_are_is_what_a_user_simulates(steady, alone):
     """A gain of 0.8 on the motion that is not free: offsets and states are fitted."""
-    good, record = identify(steady[0], SETTINGS), steady[0]
+    good, record = alone[0], steady[0]
 
     def apart(model, by_predictions=False):
         past = tracking._Past(model=model, by_predictions=by_predictions)
@@ -447,9 +457,9 @@ def test_how_far_apart_models_are_is_what_a_user_simulates(steady):
     assert np.isnan(apart(weaker, by_predictions=True))
 
 
-def test_models_are_as_far_apart_as_outputs_at_their_own_stamps_say(steady):
+def test_models_are_as_far_apart_as_outputs_at_their_own_stamps_say(steady, alone):
     """Of one every third sample, and of a second one that has others."""
-    good, record = identify(steady[0], SETTINGS), steady[0]
+    good, record = alone[0], steady[0]
     y, = record.outputs
     seldom = replace(record, outputs=(y.of(np.arange(len(y.time)) % 3 == 0),))
     weaker = replace(good.model, B=0.8 * good.model.B)
@@ -567,10 +577,10 @@ def test_a_window_whose_sensor_has_fallen_silent_tells_nothing_of_now():
     seen = 0
     for record in windows_of(died, 10.0, 2.0, settings):
         end = record.epoch_ns / S - 1000.0 + record.duration
-        verdict = run([record], settings)[0].estimate.verdict
         if end > 34.0:          # it is too short for a model then
             continue
         seen += 1
+        verdict = run([record], settings)[0].estimate.verdict
         assert verdict.grade is (Grade.GOOD if end < 25.9 else Grade.WEAK), end
         if end > 26.1:
             silent_for = f'No sample of y1 has come in the last {end - 24.98:.3g} s of the window'
@@ -603,11 +613,11 @@ def test_spikes_of_the_window_of_a_model_are_none_of_its_errors():
     ((95.0, np.nan), (1.1, np.nan), 'GOOD'), ((95.0, 20.0), (1.1, 1.0), 'WEAK'),
     ((np.nan, np.nan), (np.nan, np.nan), 'WEAK')])
 def test_what_nothing_was_held_out_of_is_good_if_all_new_outputs_are_simulated_well(
-        steady, fit, ratio, grade):
+        untested, fit, ratio, grade):
     """An output may be too seldom sampled to tell."""
-    found = identify(steady[0], SETTINGS.replace(held_out=0.0))
-    assert 'not been tested' in found.verdict.reason
-    verdict = tracking.in_sequence(found, np.array(fit), np.array(ratio), np.full(2, 0.05)).verdict
+    assert 'not been tested' in untested.verdict.reason
+    numbers = np.array(fit), np.array(ratio), np.full(2, 0.05)
+    verdict = tracking.in_sequence(untested, *numbers).verdict
     assert verdict.grade.name == grade
     assert ('not been tested' in verdict.reason) == (grade == 'WEAK')
 
@@ -679,8 +689,8 @@ def test_new_data_are_told_at_any_stamps(end, epoch):
 
 @pytest.mark.parametrize(('fit', 'ratio', 'grade'), [
     (60.0, 1.9, 'GOOD'), (60.0, 2.1, 'WEAK'), (91.0, 2.1, 'GOOD'), (-50.0, np.nan, 'WEAK')])
-def test_new_data_that_are_simulated_badly_are_a_reason(steady, fit, ratio, grade):
-    good = identify(steady[0], SETTINGS)
+def test_new_data_that_are_simulated_badly_are_a_reason(alone, fit, ratio, grade):
+    good = alone[0]
     found = tracking.in_sequence(good, *(np.array([x]) for x in (fit, ratio, 0.05)))
     assert found.verdict.grade.name == grade
     assert ('badly' in found.verdict.reason) == (grade == 'WEAK')
@@ -721,8 +731,8 @@ def test_few_older_data_are_no_measure_of_what_a_model_leaves():
     assert after.estimate.verdict.grade is Grade.WEAK
 
 
-def test_what_a_model_leaves_is_what_it_leaves_of_what_it_has_not_seen(steady):
-    found = identify(steady[0], SETTINGS)
+def test_what_a_model_leaves_is_what_it_leaves_of_what_it_has_not_seen(steady, alone):
+    found = alone[0]
     motion = np.std(steady[0].outputs[0].values[steady[0].outputs[0].rows(
         steady[0].start, steady[0].end)])
     for held_out, wanted in ((0.2, 0.2), (0.05, 0.1), (np.nan, 0.1)):
@@ -734,9 +744,8 @@ def test_what_a_model_leaves_is_what_it_leaves_of_what_it_has_not_seen(steady):
     assert np.isnan(tracking._error(predicted, steady[0])).all()
 
 
-def test_an_uncertain_pole_is_told_where_new_data_lift_a_verdict(steady):
-    found = identify(steady[0], SETTINGS.replace(held_out=0.0))
-    unsure = replace(found, verdict=replace(found.verdict, pole_uncertainty=1.6))
+def test_an_uncertain_pole_is_told_where_new_data_lift_a_verdict(untested):
+    unsure = replace(untested, verdict=replace(untested.verdict, pole_uncertainty=1.6))
     numbers = (np.array([number]) for number in (98.0, 1.0, 0.05))
     verdict = tracking.in_sequence(unsure, *numbers).verdict
     assert verdict.grade is Grade.GOOD
