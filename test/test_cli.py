@@ -536,7 +536,7 @@ def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
         0, Path('params.yaml').read_text().replace('params.yaml', ''))
 
 
-@pytest.mark.parametrize('name', ['quadrotor_roll', *slow('quadrotor_roll.bag')])
+@pytest.mark.parametrize('name', slow('quadrotor_roll', 'quadrotor_roll.bag'))
 def test_init_guesses_the_example_bag(ctsid, name):
     bag = ROOT / 'bags' / name
     assert ctsid('init', bag, '-o', 'params.yaml')[0] == 0
@@ -1013,8 +1013,9 @@ def test_a_channel_without_message(refusal, shared, tmp_path):
             "'data[0]'", "'data[5]'")))
 
 
-@pytest.mark.parametrize('verb', ['identify', 'replay'])
-@pytest.mark.parametrize(('topic', 'name'), [('/cmd', 'torque'), ('/imu', 'rate')])
+@pytest.mark.parametrize(('verb', 'topic', 'name'), [
+    ('identify', '/imu', 'rate'), ('replay', '/cmd', 'torque'), *slow(
+        ('identify', '/cmd', 'torque'), ('replay', '/imu', 'rate'))])
 def test_a_channel_with_one_message(refusal, shared, tmp_path, verb, topic, name):
     bag = write_flight(tmp_path / 'bag', spoilt(topic, lambda k, s: s if k == 20 else None))
     assert f'too few usable samples in this interval of `{name}` ({topic}): 1' in refusal(

@@ -54,8 +54,8 @@ def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: floa
 
 
 @pytest.mark.parametrize(('gust', 'pole', 'late', 'seed'), [
-    (4.0, -2.0, 5e-4, 0), (0.5, 1.0, 5e-4, 1),
-    *slow((4.0, -2.0, 2e-3, 2), (1.0, -2.0, 5e-4, 3), (2.0, -2.0, 0.0, 4))])
+    (4.0, -2.0, 5e-4, 0), *slow((0.5, 1.0, 5e-4, 1), (4.0, -2.0, 2e-3, 2), (1.0, -2.0, 5e-4, 3),
+                                (2.0, -2.0, 0.0, 4))])
 @pytest.mark.parametrize('feedthrough', [True, *slow(False)])
 def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, seed):
     """All were GOOD with fits of 66 to 93 %: a pole at the zero of the controller, a gain of 0."""
@@ -67,7 +67,7 @@ def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, se
 
 
 @pytest.mark.parametrize(('gust', 'pole', 'seed'), [
-    (2.0, -2.0, 4), (2.0, -2.0, 5), *slow((0.5, 1.0, 1), (1.0, -2.0, 3), (4.0, -2.0, 6))])
+    (2.0, -2.0, 4), *slow((2.0, -2.0, 5), (0.5, 1.0, 1), (1.0, -2.0, 3), (4.0, -2.0, 6))])
 @pytest.mark.parametrize('feedthrough', [False, *slow(True)])
 def test_a_controller_with_a_sensor_of_its_own_is_no_plant(feedthrough, gust, pole, seed):
     """
@@ -226,7 +226,7 @@ def test_outputs_that_are_stamped_late_make_no_good_model_of_the_controller(
 
 @pytest.mark.parametrize('seed', [0, *slow(1, 2)])
 @pytest.mark.parametrize(('gain', 'integral', 'dither'), [
-    (2.0, 0.0, 0.0), (0.45, 1.0, 0.0), *slow((2.0, 0.0, 0.02))])
+    (0.45, 1.0, 0.0), *slow((2.0, 0.0, 0.0), (2.0, 0.0, 0.02))])
 def test_a_controller_that_answers_at_once_is_no_plant_with_a_direct_term(
         gain, integral, dither, seed):
     """A table with a row each: it was GOOD with 97 to 100 %, and minus one over the controller."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, jittered, random_plant, random_signal
 import pytest
@@ -99,7 +100,7 @@ def generic(p, rng, *, nmax=120, rate=200.0, settings=None, uniform=True):
 
 
 @pytest.mark.parametrize('uniform', [True, False])
-@pytest.mark.parametrize('nmax', [119, 120])
+@pytest.mark.parametrize('nmax', [119, *slow(120)])
 def test_the_tail_identity(uniform, nmax):
     """x D / alpha - A x - B u is zero but for its last column, which is known."""
     rng = np.random.default_rng(1)

@@ -39,7 +39,7 @@ def mixing(several):
 
 
 @pytest.mark.parametrize('start', [-1e-6, *slow(-1e-2, -1e-3, -1e-4)])
-@pytest.mark.parametrize('several', [1, 2])
+@pytest.mark.parametrize('several', [2, *slow(1)])
 def test_a_climb_does_not_stall_beside_zero(several, start):
     samples = samples_of([travelled(5, 0.1, several)], [[None]])
     free = Free(False, True, (False,) * several, 0.1, 1.0, 100.0)

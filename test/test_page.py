@@ -609,7 +609,7 @@ def pixels_of(curves: list[Curve], path: Path) -> list[int]:
             for c in curves]
 
 
-@pytest.mark.parametrize('count', [2, 3, MOST_MODELS])
+@pytest.mark.parametrize('count', [2, MOST_MODELS, *slow(3)])
 def test_of_crosses_that_agree_every_one_is_seen(count, tmp_path):
     at = np.array([0.3, 0.7])
     seen = pixels_of([Curve(at, at, f'm{k}', k, 'cross', width=over(k, range(count)))

@@ -610,7 +610,8 @@ def test_an_order_that_is_given_as_it_was_found_makes_no_model_worse(family, see
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'settings', 'searched'), [
     ('rates-1x1', 300, 3, {}, False), ('rates-1x1', 300, 3, {'order': 2}, True),
-    ('saturation-30', 105, 0, {}, True), *slow(
+    *slow(
+        ('saturation-30', 105, 0, {}, True),
         ('rates-1x1', 300, 4, {}, True),            # it decays
         ('set-points', 300, 2, {}, True),
         ('rates-4x3', 300, 0, {}, False), ('sliding-mass', 105, 0, {}, True),
