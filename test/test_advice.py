@@ -2,13 +2,14 @@
 """Advice against truth: experiments as advised, and what they really make of the deviations."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from plants import PLANTS, Multisine, _stationary, match
 import pytest
 
-from ctsid_core import Record, Settings, Signal, StateSpace, identify
+from ctsid_core import Estimate, Record, Settings, Signal, StateSpace, identify
 from ctsid_core.advice.advice import Advice, Band, PoleAdvice, advise
 from ctsid_core.errors import DataError
 from ctsid_core.model.storage import load_estimate
@@ -56,6 +57,14 @@ CASES = {'measurement noise': {'name': 'hd51', 'gusts': 0.0, 'noise': 0.01},
 
 def settings(case) -> Settings:
     return Settings(order=len(PLANTS[case['name']].A), feedthrough=False, held_out=0.0)
+
+
+@cache
+def measured_fast() -> tuple[Record, Estimate]:
+    """Return a record in the fast band, without gusts, and its estimate; nobody changes them."""
+    case = CASES['measurement noise']
+    record = experiment(0, [(1.0, FAST)], **case)
+    return record, identify(record, settings(case))
 
 
 def scatter(case, parts, seeds: int, pole: complex) -> float:
@@ -120,9 +129,7 @@ def test_more_of_the_same_is_as_good_as_longer(case):
 
 
 def test_what_is_enough_gives_what_is_wanted():
-    case = CASES['measurement noise']
-    record = experiment(0, [(1.0, FAST)], **case)
-    estimate = identify(record, settings(case))
+    record, estimate = measured_fast()
     one = advise(estimate, record, wanted=0.01).poles[0]
     assert one.std > one.wanted
     assert one.larger == pytest.approx(one.std / one.wanted, rel=0.02)  # noise of measurement
@@ -150,9 +157,7 @@ def test_rejected_models_are_good_enough_for_advice_and_none_gets_a_word():
 
 
 def test_numbers_and_channels_have_to_fit():
-    case = CASES['measurement noise']
-    record = experiment(0, [(1.0, FAST)], **case)
-    estimate = identify(record, settings(case))
+    record, estimate = measured_fast()
     for wrong in ({'wanted': 0.0}, {'wanted': np.nan}, {'seconds': -1.0}):
         with pytest.raises(DataError, match='a positive number is wanted'):
             advise(estimate, record, **wrong)
@@ -210,8 +215,7 @@ def test_an_order_that_is_far_too_large_ends_with_advice(tmp_path):
 
 
 def test_poles_that_no_data_would_tell_get_the_advice_to_take_fewer():
-    record = experiment(0, [(1.0, FAST)], **CASES['measurement noise'])
-    found = identify(record, settings(CASES['measurement noise']))
+    record, found = measured_fast()
     told = advise(replace(found, covariance=replace(
         found.covariance, root=1e8 * found.covariance.root)), record)
     assert any(np.isinf(p.longer) and np.isinf(p.larger) for p in told.poles)

@@ -384,7 +384,7 @@ def test_a_step_before_the_end_is_none():
         assert not spikes(t, y[:, np.newaxis]).any
 
 
-@pytest.mark.parametrize('shift', [0, 2, 7])
+@pytest.mark.parametrize('shift', [0, 7, *slow(2)])
 def test_a_kink_or_a_jump_at_the_ends_is_one_as_elsewhere(shift):
     t = uneven(np.random.default_rng(2), 2000)
     for name in ('kinks', 'steps'):
@@ -473,8 +473,9 @@ def test_what_rests_or_switches_is_at_no_end_of_a_range():
     assert ends(burst) == 0
 
 
-@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
-def test_a_plant_that_strikes_a_stop_is_identified_with_that(seed):
+@pytest.mark.parametrize(('seed', 'largest'), [
+    (0, 3), *slow(*((seed, Settings().max_order) for seed in range(3)))])
+def test_a_plant_that_strikes_a_stop_is_identified_with_that(seed, largest):
     """A cylinder's position: the model of the other samples explains these hardly better."""
     _, t, t_u, u, rate = under_levels(seed)
     y, now = np.empty(len(t)), 0.15
@@ -483,7 +484,7 @@ def test_a_plant_that_strikes_a_stop_is_identified_with_that(seed):
         now = np.clip(now + 0.005 * v, 0.01, 0.3)
     assert ends(y) > 100
     found = identify(Record.from_arrays(t_u, u, t, y, input_hold='zoh'),
-                     Settings(feedthrough=False))
+                     Settings(feedthrough=False, max_order=largest))
     assert not any('range' in note for note in found.notes)
 
 

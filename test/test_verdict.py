@@ -485,7 +485,8 @@ def test_an_order_that_is_too_small_is_the_first_reason(seed, order, would):
     assert verdict.remedy is Remedy.SETTING
 
 
-def test_an_order_that_is_too_large_is_told():
+@pytest.mark.parametrize('orders', [(3,), *slow(((3, 5),))])
+def test_an_order_that_is_too_large_is_told(orders):
     """Moving an input four times as much would not make states known that there are not."""
     rng = np.random.default_rng([22, 2])
     record = held(rng, random_plant(rng, 2, 1, 1), 50.0, 100.0, snr=25)
@@ -494,7 +495,7 @@ def test_an_order_that_is_too_large_is_told():
     assert verdict.reason.startswith('2 states explain as much as the 8 that are given. If that '
                                      'is not so: the response to input u1 has a standard')
     assert verdict.reason.endswith(' If it is so, set `order: 0`.')
-    for order in (3, 5):
+    for order in orders:
         found = identify(record, Settings(order=order))
         assert found.good
         assert f'2 states explain as much as the {order} that are given: if so, set `order: 0`' \
