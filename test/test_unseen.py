@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model that fails on data that it has not seen is not called GOOD, wherever it is told of."""
 
+from contextlib import redirect_stdout
 from dataclasses import replace
+import io
 import json
 from pathlib import Path
 import re
@@ -35,15 +37,23 @@ def write(path: Path, gain_after: float, *, seed: int = 5) -> str:
     return str(path)
 
 
-def identified(capsys, csv: str, out: Path) -> dict:
-    code = main(['identify', csv, '--test-from', str(SPLIT), '--out', str(out), '--json',
-                 '--quiet'])
-    assert code == 0
-    return json.loads(capsys.readouterr().out)
+def identified(csv: str, out: Path) -> dict:
+    said = io.StringIO()
+    with redirect_stdout(said):
+        assert main(['identify', csv, '--test-from', str(SPLIT), '--out', str(out), '--json',
+                     '--quiet']) == 0
+    return json.loads(said.getvalue())
+
+
+@pytest.fixture(scope='module')
+def passing(tmp_path_factory) -> tuple[Path, dict]:
+    """A folder with motor.csv and results in `out`, which nobody changes; and the document."""
+    folder = tmp_path_factory.mktemp('passing')
+    return folder, identified(write(folder / 'motor.csv', 5.0), folder / 'out')
 
 
 def test_a_model_that_fails_its_test_is_weak_in_every_file(tmp_path, capsys):
-    found = identified(capsys, write(tmp_path / 'motor.csv', 2.5), tmp_path / 'out')
+    found = identified(write(tmp_path / 'motor.csv', 2.5), tmp_path / 'out')
     assert found['test']['passed'] is False
     verdict = found['estimate']['verdict']
     assert verdict['grade'] == 'WEAK'
@@ -75,8 +85,8 @@ def test_what_is_not_explained_of_a_test_has_a_limit_of_its_own():
         assert (failure(found, seen, other) == '') is passed
 
 
-def test_a_model_that_passes_its_test_stays_good(tmp_path, capsys):
-    found = identified(capsys, write(tmp_path / 'motor.csv', 5.0), tmp_path / 'out')
+def test_a_model_that_passes_its_test_stays_good(passing):
+    found = passing[1]
     assert found['test']['passed'] is True
     assert found['estimate']['verdict']['grade'] == 'GOOD'
 
@@ -92,7 +102,7 @@ def test_what_rests_after_the_split_is_measured_by_all_of_the_motion(tmp_path, c
     moving = (rows[:, 0] >= SPLIT) & ~rest
     rows[moving, 2] = last * np.exp(-3.0 * (rows[moving, 0] - SPLIT))
     np.savetxt(csv, rows, delimiter=',', header='t,voltage,speed', comments='')
-    assert identified(capsys, str(csv), tmp_path / 'out')['test']['passed'] is True
+    assert identified(str(csv), tmp_path / 'out')['test']['passed'] is True
 
 
 def test_there_is_one_fit_on_unseen_data_and_simulate_has_the_same(tmp_path, capsys):
@@ -102,7 +112,7 @@ def test_there_is_one_fit_on_unseen_data_and_simulate_has_the_same(tmp_path, cap
     rows[rows[:, 0] >= SPLIT, 2] += 1.5
     np.savetxt(csv, rows, delimiter=',', header='t,voltage,speed', comments='')
     out = tmp_path / 'out'
-    test = identified(capsys, str(csv), out)['test']
+    test = identified(str(csv), out)['test']
     assert test['fit'][0] > 90.0
     text = (out / 'report.md').read_text()
     assert 'simulation fit, offsets refitted [%]' in text
@@ -137,16 +147,16 @@ def test_a_plant_that_grows_is_tested_by_its_predictions(tmp_path, capsys):
         x = both[:2, :2] @ x + both[:2, 2] * u + [0.0, 0.02 * rng.standard_normal()]
     csv = tmp_path / 'tilt.csv'
     np.savetxt(csv, rows, delimiter=',', header='t,force,tilt', comments='')
-    found = identified(capsys, str(csv), tmp_path / 'out')
+    found = identified(str(csv), tmp_path / 'out')
     assert found['test']['passed'] is True
     assert found['test']['fit'][0] == pytest.approx(found['estimate']['fit'][0], abs=3.0)
     assert '10 samples ahead' in (tmp_path / 'out/report.md').read_text()
 
 
-def test_a_stored_model_that_fails_on_a_recording_is_not_called_good_there(tmp_path, capsys):
-    identified(capsys, write(tmp_path / 'motor.csv', 5.0), tmp_path / 'out')
+def test_a_stored_model_that_fails_on_a_recording_is_not_called_good_there(
+        passing, tmp_path, capsys):
     other = write(tmp_path / 'other.csv', 2.5, seed=6)
-    assert main(['simulate', str(tmp_path / 'out'), other, '--start', '20', '--json', '--quiet',
+    assert main(['simulate', str(passing[0] / 'out'), other, '--start', '20', '--json', '--quiet',
                  '--out', str(tmp_path / 'there')]) == 0
     assert 'explains' in json.loads(capsys.readouterr().out)['reason']
     page = (tmp_path / 'there/report.md').read_text()
@@ -154,12 +164,11 @@ def test_a_stored_model_that_fails_on_a_recording_is_not_called_good_there(tmp_p
     assert 'Every test is passed' not in page
 
 
-def test_what_a_recording_lacks_to_be_compared_is_said(tmp_path, capsys):
-    identified(capsys, write(tmp_path / 'motor.csv', 5.0), tmp_path / 'out')
-    rows = np.loadtxt(tmp_path / 'motor.csv', delimiter=',', skiprows=1)
+def test_what_a_recording_lacks_to_be_compared_is_said(passing, tmp_path, capsys):
+    rows = np.loadtxt(passing[0] / 'motor.csv', delimiter=',', skiprows=1)
     np.savetxt(tmp_path / 'inputs.csv', rows[:, :2], delimiter=',', header='t,voltage',
                comments='')
-    assert main(['simulate', str(tmp_path / 'out'), str(tmp_path / 'inputs.csv')]) == 1
+    assert main(['simulate', str(passing[0] / 'out'), str(tmp_path / 'inputs.csv')]) == 1
     told = capsys.readouterr().err
     assert "the table has no column 'speed'" in told
     assert 'needs all its inputs and outputs' in told
