@@ -54,7 +54,7 @@ def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: floa
 
 
 @pytest.mark.parametrize(('gust', 'pole', 'late', 'seed'), [
-    (4.0, -2.0, 5e-4, 0), *slow((0.5, 1.0, 5e-4, 1), (4.0, -2.0, 2e-3, 2), (1.0, -2.0, 5e-4, 3),
+    (0.5, 1.0, 5e-4, 1), *slow((4.0, -2.0, 5e-4, 0), (4.0, -2.0, 2e-3, 2), (1.0, -2.0, 5e-4, 3),
                                 (2.0, -2.0, 0.0, 4))])
 @pytest.mark.parametrize('feedthrough', [True, *slow(False)])
 def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, seed):

@@ -602,7 +602,7 @@ def test_windows_over_a_change_are_not_good(seed, stride):
 # What is not linear.
 
 
-@pytest.mark.parametrize('what', ['saturates', *slow('drags', 'dead zone', 'clips')])
+@pytest.mark.parametrize('what', ['drags', *slow('saturates', 'dead zone', 'clips')])
 @pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
 def test_what_is_not_linear_is_not_good(what, seed):
     """Before the model, at its modes or after it; fits are up to 90 %, held out as well."""
