@@ -8,10 +8,12 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import signal
+from typing import TYPE_CHECKING
 
-from plants import PLANTS, Plant
 import pytest
-from schema import faults_of_file
+
+if TYPE_CHECKING:
+    from plants import Plant
 
 ROOT = Path(__file__).resolve().parent.parent
 # A shell lets what it starts behind `&` ignore Ctrl-C, and so would the programs tested here.
@@ -27,6 +29,7 @@ def pytest_collection_finish() -> None:
 @pytest.fixture
 def plants() -> dict[str, Plant]:
     """Test plants by name: hd51, hd52, flexible, unstable."""
+    from plants import PLANTS  # SciPy: the process that only hands out tests needs none of it
     return PLANTS
 
 
@@ -45,6 +48,7 @@ def _written_models_validate(tmp_path_factory):
     yield
     if find_spec('jsonschema') is None:
         return
+    from schema import faults_of_file
     wrong = {str(path): found for path in sorted(tmp_path_factory.getbasetemp().rglob('*.json'))
              if path.is_file() and (found := faults_of_file(path))}
     assert wrong == {}, 'these files do not follow ctsid_core/model/model.schema.json'
