@@ -536,7 +536,7 @@ def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
         0, Path('params.yaml').read_text().replace('params.yaml', ''))
 
 
-@pytest.mark.parametrize('name', slow('quadrotor_roll', 'quadrotor_roll.bag'))
+@pytest.mark.parametrize('name', ['quadrotor_roll', *slow('quadrotor_roll.bag')])
 def test_init_guesses_the_example_bag(ctsid, name):
     bag = ROOT / 'bags' / name
     assert ctsid('init', bag, '-o', 'params.yaml')[0] == 0

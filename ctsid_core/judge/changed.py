@@ -165,8 +165,7 @@ def _gain_that_jumps(samples: Samples, own: Own, place: int) -> Change:
                 found, best = Change(place, share, gain=gain), column
     if not found.gain:
         return found
-    likeliest = min(slopes.beside(slopes.drift).cost, slopes.curved().cost,
-                    under_loads(slopes, 1, slopes.rows[:, :0]).cost)
+    likeliest = min(slopes.curved().cost, under_loads(slopes, 1, slopes.rows[:, :0]).cost)
     return found if slopes.beside(best).cost < likeliest else Change()
 
 

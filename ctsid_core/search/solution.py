@@ -102,7 +102,8 @@ class Solution:
     def telling(self) -> tuple[Fitted | None, bool]:
         """The predictor, where it tells changes, and whether simulations tell them, too."""
         simulates = self.plant is None or None not in (self.predictor, self.simulating)
-        return (None if self.plant is None else self.source), simulates
+        return (None if self.plant is None or simulates and self.settings.feedthrough
+                else self.source), simulates
 
     @property
     def delay(self) -> Array:
