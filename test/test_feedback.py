@@ -105,6 +105,36 @@ def test_a_gain_that_stays_under_a_controller_does_not_jump(seed, pole):
     assert found.good, found.verdict.reason
 
 
+@pytest.mark.parametrize('seed', [44, 49, *slow(40, 41, 42, 43, 45, 46, 47, 48)])
+def test_gusts_are_no_gain_that_jumps(seed):
+    """Of these a load that jumps explains more (44), or chance as much as a number costs (49)."""
+    found = identify(held_in_place(seed, 'jumps', 3.0), Settings(feedthrough=False))
+    assert 'plant changed' not in found.verdict.reason
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
+def test_a_plant_that_is_balanced_is_no_controller_because_its_set_point_is_smooth(seed):
+    """
+    A rate that is not recorded counts, and outputs tell the set point by way of the plant.
+
+    The true plant was minus one over the controller, to 25 to 36 %, by least squares.
+    """
+    rng, h = np.random.default_rng(seed), 0.01
+    joined = np.zeros((3, 3))
+    joined[:2] = [[0.0, 1.0, 0.0], [25.0, 0.0, 10.0]]
+    moves, x, t = expm(joined * h)[:2], np.zeros(2), h * np.arange(1200)
+    omega, phase = 2.0 * np.pi * np.geomspace(0.1, 2.0, 7), rng.uniform(0.0, 6.3, 7)
+    point = 0.05 * np.sin(np.outer(t, omega) + phase).sum(axis=1)
+    u, y = np.empty(len(t)), np.empty(len(t))
+    for k in range(len(t)):
+        y[k] = x[0] + 0.002 * rng.standard_normal()
+        u[k] = -6.0 * (y[k] - point[k]) - 1.2 * x[1]
+        x = moves @ np.append(x, u[k]) + [0.0, 0.02 * rng.standard_normal()]
+    record = Record.from_arrays(t + 5e-4, u, t, y, input_hold='zoh')
+    true = StateSpace(joined[:2, :2], joined[:2, 2:], [[1.0, 0.0]], [[0.0]])
+    assert distance_to_controller([record], true, [Excitation('u1', 0.6, 12.0)])[0] > 1.0
+
+
 @pytest.mark.parametrize('pole', [-2.0, 3.0])
 @pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
 def test_a_smooth_set_point_is_no_answer_to_what_it_moves(seed, pole):

@@ -282,9 +282,8 @@ def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, numb
     assert ratios.max() < measure
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
-    ('rates-4x3', 145, 4), ('rates-1x1', 144, 2), ('rates-1x1', 134, 2)])
+    ('rates-4x3', 145, 4), ('rates-1x1', 134, 2), *slow(('rates-1x1', 144, 2))])
 def test_where_nothing_simulates_predictions_find_the_plant(family, seed, number):
     """
     None grows: of one no controller was heard, of the others a drift stood for what gusts do.
