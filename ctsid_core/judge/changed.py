@@ -95,9 +95,11 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         return Change()
     # Of a record shorter than a dead time nothing is left.
     each, whole = recordings(samples), (fit.model, free)
-    # What is, as a whole, of another plant than the others are is not divided.
+    # What is, as a whole, of another plant than the others are is not divided. Of one that grows
+    # predictions know the weather of each record, too.
+    grows = predictor is not None and predictor[0] is samples
     others = (_explained(samples, whole, _divided(samples, whole, whole, place, 0.0))
-              for place in each if len(each) > 1)
+              for place in each if len(each) > 1 and not grows)
     other = max((Change(), *others), key=lambda change: change.cost)
     if other.cost > 0.0:
         return other
@@ -108,7 +110,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
                     key=lambda change: change.cost)
     if predictor is not None and found.cost <= NOTED:
         found = max(found, *(_as_predicted(
-            None if samples is predictor[0] else samples, whole, place, predictor)
+            None if grows else samples, whole, place, predictor)
             for place in each),
                     key=lambda change: (change.cost, change.gain))
     return found
