@@ -109,9 +109,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
                              for place in each for one in (whole, *smaller)),
                     key=lambda change: change.cost)
     if predictor is not None and found.cost <= NOTED:
-        found = max(found, *(_as_predicted(
-            None if grows else samples, whole, place, predictor)
-            for place in each),
+        simulated = None if grows else samples
+        found = max(found, *(_as_predicted(simulated, whole, place, predictor) for place in each),
                     key=lambda change: (change.cost, change.gain))
     return found
 

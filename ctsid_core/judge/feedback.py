@@ -88,7 +88,7 @@ def distance_to_controller(records: Sequence[Record], model: StateSpace,
             rests = resting_times(signal, record) if same_instant else [0.0] * signal.width
             outputs, changes, past = outputs_before(signal, record, before)
             answers = _answers(outputs, changes, past, signal.period)
-            means = [None] * len(answers) if model.D.any() else \
+            means = [None] * len(answers) if model.D.any() or None not in answers else \
                 _in_means(outputs, changes, signal.period)
             for rest, one, other in zip(rests, answers, means, strict=True):
                 answer = one or other
